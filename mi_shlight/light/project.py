@@ -1,6 +1,8 @@
 """Front door of the coefficient engine: checks its arguments and chooses the method."""
 from __future__ import annotations
 
+import drjit as dr
+
 from ..arrays import vectors3
 from ..errors import check_choice, message
 from ..sh.basis import check_order
@@ -62,7 +64,8 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
 
 def _not_literal(v):
     """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
-    return type(v)(*(dr.opaque(type(c), c[0]) if dr.is_jit_v(c) and c.state == dr.VarState.Literal else c for c in v))
+    literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
+    return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))
 
 
 def shade_edges(edges, x, apex, transfer: list, order: int, method: str = "auto"):
