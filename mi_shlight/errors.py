@@ -4,6 +4,7 @@ Messages follow one form: ``function(): 'argument' must <rule>, got <value>. <hi
 """
 from __future__ import annotations
 
+import difflib
 import numbers
 
 
@@ -58,3 +59,12 @@ def check_choice(function: str, argument: str, value, choices, hint: str = "") -
     if value not in choices:
         raise ValueError(message(function, argument, rule, value, hint))
     return value
+
+
+def check_parameters(plugin: str, props, known) -> None:
+    """Raise ValueError if a Mitsuba plugin was given a parameter that is not in `known`."""
+    for name in props.keys():
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f"Did you mean '{near[0]}'?" if near else "Its parameters are " + ", ".join(f"'{k}'" for k in known) + "."
+            raise ValueError(message(plugin, name, f"be a parameter of '{plugin}'", props[name], hint))

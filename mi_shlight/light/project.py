@@ -7,7 +7,7 @@ from ..arrays import vectors3
 from ..errors import check_choice, message
 from ..sh.basis import check_order
 from .polygon import VertexList, interior_direction
-from .recurrence import project_recurrence, shade_recurrence
+from .recurrence import project_recurrence, recurrence_shader
 
 METHODS = ("auto", "recurrence")
 """Accepted values of `method`; ``auto`` is the most accurate method at hand, today the only one."""
@@ -59,7 +59,7 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
         raise ValueError(message(name, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
     vertices, x = vectors3(name, vertices=list(vertices), x=x)
     vertices, x = [_not_literal(v) for v in vertices], _not_literal(x)
-    return project_recurrence(VertexList(vertices), x, interior_direction(vertices, x), n)
+    return project_edges(VertexList(vertices), x, interior_direction(vertices, x), n, method)
 
 
 def _not_literal(v):
@@ -68,11 +68,17 @@ def _not_literal(v):
     return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))
 
 
-def shade_edges(edges, x, apex, transfer: list, order: int, method: str = "auto"):
-    """``sum_lm T_lm L_lm`` of one light given as edges ([W18] eq. 4); the coefficients are not formed where that saves work.
+def project_edges(edges, x, apex, order: int, method: str = "auto") -> list:
+    """:py:func:`project_polygon` of a light given as edges, without checks: for callers inside loops.
 
-    `edges`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light;
-    `transfer`: ``(order + 1)**2`` floats.
+    `edges`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
     """
-    check_choice("shade_edges", "method", method, METHODS)
-    return shade_recurrence(edges, x, apex, transfer, order)
+    return project_recurrence(edges, x, apex, order)
+
+
+def edge_shader(transfer: list, order: int, method: str = "auto"):
+    """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm`` of one light ([W18] eq. 4).
+
+    What depends on the transfer alone is done here, once for all lights.
+    """
+    return recurrence_shader(transfer, order)

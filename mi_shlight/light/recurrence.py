@@ -96,19 +96,22 @@ def project_recurrence(edges, x, apex, order: int) -> list:
     return coeffs
 
 
-def shade_recurrence(edges, x, apex, transfer, order: int):
-    """``sum_lm T_lm L_lm`` without forming the coefficients: the transfer is taken to the lobes once, before the edges.
+def recurrence_shader(transfer: list, order: int):
+    """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm`` without forming the coefficients.
 
-    Same numbers as the dot product of `transfer` with :py:func:`project_recurrence`, at one running sum per light
-    instead of ``(order + 1)**2``.
+    The transfer is taken to the lobes and through the transposed recurrence of ``S_l`` once, before all lights; each edge then costs one
+    running sum instead of ``(order + 1)**2``. Same numbers as the dot product with :py:func:`project_recurrence`.
     """
-    if order > UNROLL_ORDER and dr.is_jit_v(x):
-        coeffs = project_recurrence(edges, x, apex, order)
-        value = transfer[0] * coeffs[0]
-        for t, c in zip(transfer[1:], coeffs[1:]):
-            value = dr.fma(t, c, value)
-        return value
-    table, number = lobes(order), type(x[0])
+    number = type(transfer[0])
+    if order > UNROLL_ORDER and dr.is_jit_v(number):
+        def shade(edges, x, apex):
+            value = number(0)
+            for t, c in zip(transfer, project_recurrence(edges, x, apex, order)):
+                value = dr.fma(t, c, value)
+            return value
+        return shade
+
+    table = lobes(order)
     directions = [[float(c) for c in d] for d in table.directions]
     solid_weight, edge_weights = number(0), []
     for d in range(len(directions)):
@@ -132,7 +135,7 @@ def shade_recurrence(edges, x, apex, transfer, order: int):
                     value = dr.fma(w, b, value)
         return [value]
 
-    return edges.sum(term, x, apex, 1)[0]
+    return lambda edges, x, apex: edges.sum(term, x, apex, 1)[0]
 
 
 def _project_lobe_loop(edges, x, apex, order: int, table) -> list:

@@ -1,0 +1,384 @@
+"""The command ``mi-shlight``: render, bake and compare scenes from a shell.
+
+Mitsuba's own command is a C++ program and cannot load plugins written in Python; this one takes its place. Every failure that
+the user can mend is one paragraph on stderr and exit code 2; an interrupt ends with 130, a bug with 1. Output files appear
+complete or not at all.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+import time
+import warnings
+from contextlib import contextmanager
+from pathlib import Path
+
+import mi_shlight
+
+from .errors import SHLightWarning, message
+from .files import check_output, replacing
+
+DEFAULT_VARIANT = "llvm_ad_rgb"
+
+# Keywords of mitsuba.load_file that are no values of a scene.
+LOADER_ARGUMENTS = ("path", "parallel", "optimize")
+
+# Errors that speak about the user's input or machine; any other type is a bug of ours.
+USER_ERRORS = (ValueError, TypeError, OSError, RuntimeError, ImportError, MemoryError)
+
+
+def main(argv=None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program's name; by default those of the process.
+
+    Returns
+    -------
+    code : int
+        0 success, 1 internal error, 2 an input or a machine that cannot be used, 130 interrupted.
+    """
+    argv = sys.argv[1:] if argv is None else list(argv)
+    debug = "--traceback" in argv or bool(os.environ.get("MI_SHLIGHT_DEBUG"))
+    try:
+        arguments = _parser().parse_args(argv)
+        with _one_line_warnings():
+            arguments.run(arguments)
+        return 0
+    except (Exception, KeyboardInterrupt) as error:
+        cause = root_cause(error)
+        if isinstance(cause, KeyboardInterrupt):
+            print("\nmi-shlight: interrupted; no output was written", file=sys.stderr)
+            return 130
+        if debug:
+            raise
+        if isinstance(cause, USER_ERRORS) or type(cause) is Exception:  # Mitsuba raises plain Exception, too
+            print(f"mi-shlight: error: {paragraph(cause)}", file=sys.stderr)
+            return 2
+        print(f"mi-shlight: internal error: {type(cause).__name__}: {paragraph(cause)} This is a bug: please report it with "
+              "what --traceback prints.", file=sys.stderr)
+        return 1
+
+
+# ---- commands
+
+
+def _render(arguments) -> None:
+    from .exr import write_exr
+    from .rendering import render, sh_integrator
+
+    output = check_output("render", "-o", arguments.output, ".exr")
+    scene = _load(arguments)
+    integrator = sh_integrator(scene, _overrides(arguments))
+    _announce(arguments, scene, integrator)
+    start = time.perf_counter()
+    image, names = render(scene, integrator, sensor=arguments.sensor, spp=arguments.spp, seed=arguments.seed,
+                          progress=_progress(arguments, "render"))
+    seconds = time.perf_counter() - start
+    spp = arguments.spp or scene.sensors()[arguments.sensor].sampler().sample_count()
+    metadata = {**_metadata(arguments), **integrator.parameters(), "spp": spp, "seed": arguments.seed}
+    write_exr(output, {name: image[..., k] for k, name in enumerate(names)}, metadata)
+    _say(arguments, f"{output}: {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s")
+
+
+def _bake(arguments) -> None:
+    from .rendering import sh_integrator
+
+    output = check_output("bake", "-o", arguments.output)
+    scene = _load(arguments)
+    settings = sh_integrator(scene, {**_overrides(arguments), "transfer_file": ""}).parameters()
+    start = time.perf_counter()
+    transfer = mi_shlight.bake_transfer(
+        scene, settings["order"], settings["transfer"], settings["transfer_samples"] or 1024, max_edge=settings["max_edge"],
+        light_margin=settings["light_margin"], progress=_progress(arguments, "bake"))
+    seconds = time.perf_counter() - start
+    with replacing(output) as temporary:
+        transfer.save(temporary)
+    _say(arguments, f"{output}: {output.stat().st_size / 2**20:.1f} MiB, {seconds:.2f} s\n{transfer}")
+
+
+def _compare(arguments) -> None:
+    from .compare import compare
+    from .panel import require_matplotlib, times_text
+    from .rendering import sh_integrator
+
+    require_matplotlib()
+    folder = Path(arguments.output)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(message("compare", "-o", "name a folder", arguments.output, "A file of that name exists."))
+    check_output("compare", "-o", folder / "report.json" if folder.is_dir() else folder)
+    scene = _load(arguments)
+    integrator = sh_integrator(scene, _overrides(arguments))
+    _announce(arguments, scene, integrator)
+    folder.mkdir(exist_ok=True)
+    try:
+        report = compare(scene, folder, integrator=integrator, spp=arguments.spp, reference_spp=arguments.reference_spp,
+                         sensor=arguments.sensor, seed=arguments.seed, title=Path(arguments.scene).name,
+                         metadata=_metadata(arguments),
+                         progress=lambda label, done, total: _progress(arguments, label)(done, total))
+    except BaseException:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    errors, noise = report["errors"], report["noise"]
+    _say(arguments, f"{report['scene']} against {report['reference']}:\n"
+         f"  mean relative error  {errors['mean_relative']:8.2%}   (noise of the reference {noise['mean_relative']:.2%})\n"
+         f"  bias                 {errors['bias']:+8.2%}\n"
+         f"  RMSE                 {errors['rmse']:8.4f}   (noise of the reference {noise['rmse']:.4f})\n"
+         f"  95 % of pixels below {errors['p95']:8.2%}   of the mean, 99 % below {errors['p99']:.2%}, largest {errors['max']:.2%}\n"
+         f"  {times_text(report['times'], report['spp'])}\n"
+         f"wrote sh.exr, reference.exr, panel.png, report.json to {folder}")
+
+
+def _info(arguments) -> None:
+    from importlib.metadata import version
+
+    import mitsuba
+
+    from .llvm import llvm_info, require_llvm
+
+    try:
+        require_llvm()
+        found = llvm_info()
+        llvm = f"{'.'.join(map(str, found['version']))} ({found['path']})"
+    except (RuntimeError, ImportError, OSError) as error:
+        llvm = f"not usable: {paragraph(error)}"
+    lines = {"mi_shlight": mi_shlight.__version__, "mitsuba": version("mitsuba"), "drjit": version("drjit"),
+             "numpy": version("numpy"), "OpenEXR": version("OpenEXR"), "Python": sys.version.split()[0], "LLVM": llvm,
+             "CUDA": "usable" if _has_cuda() else "not usable", "variants": ", ".join(mitsuba.variants()), "default": DEFAULT_VARIANT, "cores": str(os.cpu_count())}
+    for name, text in lines.items():
+        print(f"{name:<11}{text}")
+
+
+# ---- loading
+
+
+def _load(arguments):
+    """Activate the variant and load the scene file."""
+    path = Path(arguments.scene)
+    if not path.is_file():
+        raise FileNotFoundError(message(arguments.command, "SCENE", "name an existing Mitsuba XML file", arguments.scene,
+                                        "Check the path." if not path.is_dir() else "It is a folder."))
+    import mitsuba as mi
+
+    usable = [name for name in mi.variants() if not name.startswith("scalar")]
+    if not _has_cuda():
+        usable = [name for name in usable if not name.startswith("cuda")]
+    if arguments.variant not in usable:
+        raise ValueError(message(arguments.command, "--variant", "be a JIT variant of Mitsuba that runs here", arguments.variant,
+                                 f"Choose one of: {', '.join(usable)}."))
+    if arguments.variant.startswith("llvm"):
+        from .llvm import require_llvm
+        require_llvm()
+    mi.set_variant(arguments.variant)  # also registers the plugins, as mi_shlight is imported
+    try:
+        # Mitsuba's merging of meshes would make the order of shapes, and so the noise of an image, differ between runs.
+        scene = mi.load_file(str(path), optimize=False, **dict(arguments.define))
+    except RuntimeError as error:
+        raise RuntimeError(f"{paragraph(error).rstrip('.!')}. {_loading_hint(str(error), path)}") from None
+    if not isinstance(scene, mi.Scene):
+        raise ValueError(message(arguments.command, "SCENE", "have a <scene> at its top", arguments.scene,
+                                 f"It describes a {type(scene).__name__}."))
+    return scene
+
+
+def _loading_hint(text, path) -> str:
+    """What to do about a message of Mitsuba's parser."""
+    if "unused parameters" in text:
+        names = re.findall(r"<default\s+name\s*=\s*[\"']([^\"']+)", path.read_text(errors="replace"))
+        declared = f"it declares {', '.join(names)}" if names else "it declares none"
+        return f"-D sets a value that the scene uses as $name; {declared}."
+    if "unreferenced propert" in text:
+        return "Correct the name or remove it; each plugin's manual page lists its parameters."
+    return f"Correct '{path.name}', or the value given to it by -D, and try again."
+
+
+def _has_cuda() -> bool:
+    import drjit
+
+    return drjit.has_backend(drjit.JitBackend.CUDA)
+
+
+def _overrides(arguments) -> dict:
+    """The `shprt` parameters given as options."""
+    return {name: value for name in SHPRT_OPTIONS if (value := getattr(arguments, name, None)) is not None}
+
+
+def _metadata(arguments) -> dict:
+    import drjit
+    import mitsuba
+
+    return {"scene": Path(arguments.scene).name, "integrator": "shprt", "variant": arguments.variant,
+            "mi_shlight": mi_shlight.__version__, "mitsuba": mitsuba.__version__, "drjit": drjit.__version__}
+
+
+# ---- speaking to the user
+
+
+def _say(arguments, text) -> None:
+    if not arguments.quiet:
+        print(text, flush=True)
+
+
+def _announce(arguments, scene, integrator) -> None:
+    settings = integrator.parameters()
+    source = "" if isinstance(scene.integrator(), type(integrator)) else " (the scene names another integrator)"
+    _say(arguments, f"shprt, order {settings['order']}, method {settings['method']}, transfer {settings['transfer']} per "
+         f"{settings['transfer_domain']}{source}")
+
+
+def _progress(arguments, label):
+    """A function (done, total) that draws a bar on stderr if that is a terminal and --quiet is not given."""
+    visible = sys.stderr.isatty() and not arguments.quiet
+
+    def draw(done, total):
+        if not visible:
+            return
+        filled = 30 * done // max(total, 1)
+        end = "\n" if done >= total else ""
+        print(f"\r{label:<16} [{'#' * filled}{'.' * (30 - filled)}] {done / max(total, 1):4.0%}", end=end, file=sys.stderr, flush=True)
+
+    return draw
+
+
+@contextmanager
+def _one_line_warnings():
+    """Print each distinct warning of this package once, as one line without its place in the code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("once", SHLightWarning)
+        usual = warnings.showwarning
+
+        def show(text, category, *place, **options):
+            if issubclass(category, SHLightWarning):
+                print(f"mi-shlight: warning: {paragraph(text)}", file=sys.stderr, flush=True)
+            else:
+                usual(text, category, *place, **options)
+
+        warnings.showwarning = show
+        yield
+
+
+def root_cause(error: BaseException) -> BaseException:
+    """The exception inside those that Dr.Jit and Mitsuba wrap around it, which only say "see above"."""
+    while error.__cause__ is not None and "(see above)" in str(error):
+        error = error.__cause__
+    return error
+
+
+def paragraph(error) -> str:
+    """The text of an error on one line, without Mitsuba's source positions and the tracebacks it embeds; locations stay."""
+    text = str(error) or type(error).__name__
+    text = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", text)
+    text = re.sub(r"Traceback \(most recent call last\):\n(?:[ \t]+.*\n)*", "", text)
+    text = re.sub(r"At dictionary node \"\w*\": failed to instantiate [^:]*: (?=\S)", "", text)
+    text = re.sub(r"(^|: )(?:[\w.]*\.)?\w+(?:Error|Exception): ", r"\1", text, count=1)
+    return re.sub(r"\s+", " ", text).strip()
+
+
+# ---- arguments
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a usage error as any other error, in one paragraph."""
+
+    def error(self, message):
+        raise ValueError(f"{message}. See '{self.prog} --help'.")
+
+
+def _number(text):
+    """An integer or a float as written; the library checks types and ranges, so both reach it unchanged."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    raise argparse.ArgumentTypeError(f"must be a number, got '{text}'")
+
+
+def _define(text):
+    name, separator, value = text.partition("=")
+    if not separator or not name:
+        raise argparse.ArgumentTypeError(f"must have the form name=value, got '{text}'")
+    if name in LOADER_ARGUMENTS:
+        raise argparse.ArgumentTypeError(f"must name a value of the scene file, got '{name}', which Mitsuba's loader reserves; "
+                                         "use another name in the scene file")
+    return name, value
+
+
+# Parameters of `shprt` that an option can set, with the option's argument parser entries.
+SHPRT_OPTIONS = {
+    "order": dict(type=_number, metavar="N", help="highest spherical-harmonic degree"),
+    "method": dict(metavar="M", help="how lights are projected: auto, recurrence"),
+    "transfer": dict(metavar="K", help="shadowed or unshadowed"),
+    "transfer_domain": dict(metavar="D", help="vertex (baked) or pixel (rays at each hit)"),
+    "transfer_samples": dict(type=_number, metavar="N", help="rays per vertex or per pixel hit; 0: the default"),
+    "transfer_file": dict(metavar="FILE", help="use a transfer made by 'mi-shlight bake'"),
+    "max_edge": dict(type=_number, metavar="X", help="longest triangle edge of the bake, in scene units; 0: automatic"),
+    "light_margin": dict(type=_number, metavar="X", help="how far lights may move after the bake, in scene units"),
+    "strict": dict(action="store_true", default=None, help="refuse a scene of which something must be left out"),
+    "coefficients": dict(action="store_true", default=None, help="add the light's coefficients as layers L.l.m"),
+}
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="mi-shlight", allow_abbrev=False,
+                     description="Light Mitsuba scenes by polygonal area lights in analytic spherical harmonics.")
+    parser.add_argument("--version", action="version", version=f"mi-shlight {mi_shlight.__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+
+    render = commands.add_parser("render", allow_abbrev=False, help="render a scene with shprt to an EXR file",
+                                 description="Render a scene with shprt. Parameters come from the scene's own shprt "
+                                 "integrator, or are the defaults; options override them.")
+    _add_scene(render, "OUT.exr", "image to write")
+    _add_camera(render)
+    render.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel; default: the scene's")
+    _add_shprt(render, SHPRT_OPTIONS)
+    render.set_defaults(run=_render)
+
+    bake = commands.add_parser("bake", allow_abbrev=False, help="precompute a scene's transfer",
+                               description="Bake the transfer of a scene's vertices for --transfer-file.")
+    _add_scene(bake, "FILE", "transfer file to write")
+    bake.add_argument("--samples", dest="transfer_samples", type=_number, metavar="N", help="rays per vertex; default: 1024")
+    _add_shprt(bake, ("order", "transfer", "max_edge", "light_margin"))
+    bake.set_defaults(run=_bake)
+
+    compare = commands.add_parser("compare", allow_abbrev=False, help="render with shprt and with path tracing",
+                                  description="Render a scene with shprt and with path (max_depth 2: direct illumination); "
+                                  "write both EXR files, a panel of pictures and a report of errors and times.")
+    _add_scene(compare, "DIR", "folder for the results; made if missing")
+    _add_camera(compare)
+    compare.add_argument("--spp", type=_number, default=16, metavar="N", help="samples per pixel of the SH image (%(default)s)")
+    compare.add_argument("--reference-spp", type=_number, default=512, metavar="N",
+                         help="samples per pixel of the path-traced reference (%(default)s)")
+    _add_shprt(compare, SHPRT_OPTIONS)
+    compare.set_defaults(run=_compare)
+
+    info = commands.add_parser("info", allow_abbrev=False, help="versions, LLVM, variants",
+                               description="Print the versions in use, the LLVM library found, and Mitsuba's variants.")
+    info.add_argument("--traceback", action="store_true", help="show the Python traceback of an error")
+    info.set_defaults(run=_info)
+    return parser
+
+
+def _add_scene(parser, output, help_output) -> None:
+    parser.add_argument("scene", metavar="SCENE", help="Mitsuba XML file")
+    parser.add_argument("-o", "--output", required=True, metavar=output, help=help_output)
+    parser.add_argument("-D", "--define", action="append", default=[], type=_define, metavar="NAME=VALUE",
+                        help="set $NAME of the scene file; may be repeated")
+    parser.add_argument("-m", "--variant", default=DEFAULT_VARIANT, metavar="V", help="Mitsuba variant (%(default)s)")
+    parser.add_argument("-q", "--quiet", action="store_true", help="print errors and warnings only")
+    parser.add_argument("--traceback", action="store_true", help="show the Python traceback of an error")
+
+
+def _add_camera(parser) -> None:
+    parser.add_argument("-s", "--sensor", type=_number, default=0, metavar="I", help="index of the sensor (%(default)s)")
+    parser.add_argument("--seed", type=_number, default=0, metavar="N", help="seed of the random numbers (%(default)s)")
+
+
+def _add_shprt(parser, names) -> None:
+    for name in names:
+        parser.add_argument("--" + name.replace("_", "-"), dest=name, **SHPRT_OPTIONS[name])

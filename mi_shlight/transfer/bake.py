@@ -1,0 +1,146 @@
+"""Bake the transfer of a scene's meshes."""
+from __future__ import annotations
+
+import sys
+import warnings
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
+from ..scene import content_hash, mesh_arrays, polygon_lights, receivers
+from ..sh.basis import check_order
+from .mesh import MAX_ROWS, automatic_edge, refine
+from .store import MeshBlock, Transfer, occluder_hash
+from .visibility import BakeLights, occluder_scene, shadowed_transfer
+
+MAX_GROUPS = 4
+"""Up to this many lights each has its own visibility; more lights share one."""
+
+ROWS_PER_LAUNCH = 8192
+
+
+def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: int = 1024, *, max_edge: float = 0.0,
+                  light_margin: float = 0.0, progress=False) -> Transfer:
+    """Bake diffuse shadowed transfer at the (refined) vertices of every mesh in a Mitsuba scene.
+
+    For each baked point, side and light group the coefficients of ``T(omega) = V(omega) max(0, n . omega) / pi`` ([W18] section 3.1,
+    [G03] shadowed diffuse transfer) are estimated with `samples` cosine-distributed rays and the analytic cosine as control variate. ``V`` asks
+    whether something lies between the point and the lights (:py:mod:`mi_shlight.transfer.visibility`), so closed rooms work.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Loaded in a JIT variant, with ``optimize=False``.
+    order : int
+        Highest degree, 0 to 64.
+    transfer : str
+        ``"shadowed"``. (Unshadowed transfer is analytic and needs no bake.)
+    samples : int
+        Rays per baked point, 16 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
+    max_edge : float
+        Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers' bounding box.
+    light_margin : float
+        Distance, in scene units, by which lights may move before the bake is stale. Visibility is then resolved in the grown neighbourhood of each light.
+    progress : bool or callable
+        True: a line on standard error. A callable is called with (points done, points in all).
+
+    Returns
+    -------
+    Transfer
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 4 million points to bake.
+    """
+    name = "bake_transfer"
+    if not isinstance(scene, mi.Scene):
+        raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene, "Load it with mi.load_file(path, optimize=False)."))
+    order = check_order(name, order)
+    check_choice(name, "transfer", transfer, ("shadowed",), "Unshadowed transfer is analytic: use it directly in 'shprt'.")
+    samples = check_integer(name, "samples", samples, 16, 65536)
+    max_edge = check_number(name, "max_edge", max_edge, 0, hint="It is a length in scene units; 0 chooses automatically.")
+    light_margin = check_number(name, "light_margin", light_margin, 0, hint="It is a length in scene units.")
+    with warnings.catch_warnings():
+        if progress is not False:                     # the integrator has shown them already
+            warnings.simplefilter("ignore", UnsupportedSceneWarning)
+        lights, lit = polygon_lights(scene), receivers(scene)
+    report = _printer() if progress is True else progress or (lambda done, total: None)
+
+    with dr.suspend_grad():
+        meshes, positions, normals, max_edge = _bake_points(lit, max_edge)
+        groups = np.arange(len(lights) + 1) if len(lights) <= MAX_GROUPS else np.array([0, len(lights)])
+        outlines = [light.outline for light in lights]
+        bake_lights = BakeLights(outlines, np.array([light.normal for light in lights]), light_margin, len(lights) > MAX_GROUPS)
+        coeffs, visibility, conflict = _trace(occluder_scene(scene), bake_lights, groups, positions, normals, order, samples, report)
+    if conflict > 1e-3:
+        warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other with an occluder between; more than "
+                      f"{MAX_GROUPS} lights share one visibility, so the farther light shines through there.", UnsupportedSceneWarning, stacklevel=2)
+    from .. import __version__
+    versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
+    return Transfer(order, transfer, samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict, meshes,
+                    occluder_hash(scene), versions)
+
+
+def _bake_points(lit: list, max_edge: float) -> tuple:
+    """Blocks, positions (R, 3), normals (R, 3) of all baked points, and the edge length used."""
+    shapes = [(r, *mesh_arrays(r.shape)) for r in lit if r.shape.is_mesh() and not r.shape.is_emitter() and not r.black]
+    if max_edge == 0:
+        corners = np.concatenate([p for _, _, p, _ in shapes]) if shapes else np.zeros((1, 3))
+        max_edge = max(automatic_edge(np.stack([corners.min(axis=0), corners.max(axis=0)])), 1e-30)
+    blocks, positions, normals, row = [], [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)], 0
+    for receiver, faces, vertices, vertex_normals in shapes:
+        mesh = refine(faces, vertices, vertex_normals, max_edge)
+        count = len(mesh.positions)
+        blocks.append(MeshBlock(receiver.name, content_hash(receiver.shape, receiver.two_sided), receiver.two_sided, row, count,
+                                mesh.subdivision, mesh.first, mesh.rows))
+        positions += [mesh.positions] * (1 + receiver.two_sided)
+        normals += [mesh.normals, -mesh.normals][:1 + receiver.two_sided]
+        row += count * (1 + receiver.two_sided)
+        if row > MAX_ROWS:
+            raise ValueError(message("bake_transfer", "max_edge", f"leave at most {MAX_ROWS} points to bake", max_edge,
+                                     f"Mesh '{receiver.name}' alone has {count}. Choose a longer edge, or transfer_domain='pixel'."))
+    return blocks, np.concatenate(positions), np.concatenate(normals), max_edge
+
+
+def _trace(occluders, lights, groups, positions, normals, order: int, samples: int, report) -> tuple:
+    """Coefficients (G, R, N), visibility (G, R) and the largest conflict over all points."""
+    count, rows = (order + 1) ** 2, len(positions)
+    coeffs = np.empty((len(groups) - 1, rows, count), np.float32)
+    visibility = np.empty((len(groups) - 1, rows), np.float32)
+    conflict, total = 0.0, rows * (len(groups) - 1)
+    for g in range(len(groups) - 1):
+        group = mi.UInt32(int(groups[g])), mi.UInt32(int(groups[g + 1]))
+        dr.make_opaque(group)
+        for begin in range(0, rows, ROWS_PER_LAUNCH):
+            part = slice(begin, min(begin + ROWS_PER_LAUNCH, rows))
+            p, n = _points(mi.Point3f, positions[part]), _points(mi.Normal3f, normals[part])
+            shift = _hashed_shift(begin, part.stop - begin)
+            t, v, c = shadowed_transfer(occluders, lights, group, p, n, order, samples, shift)
+            dr.eval(t, v, c)
+            for i in range(count):
+                coeffs[g, part, i] = np.array(t[i])
+            visibility[g, part] = np.array(v)
+            conflict = max(conflict, float(np.max(np.array(c), initial=0.0)))
+            report(g * rows + part.stop, total)
+    return coeffs, visibility, conflict
+
+
+def _points(kind, rows: np.ndarray):
+    return kind(*(mi.Float(np.ascontiguousarray(column)) for column in rows.T))
+
+
+def _hashed_shift(begin: int, count: int):
+    """A reproducible shift of the direction set for each point, so that neighbours' errors are independent."""
+    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=dr.arange(mi.UInt64, count) + begin)
+    return mi.Point2f(generator.next_float32(), generator.next_float32())
+
+
+def _printer():
+    """Progress on standard error, one line that overwrites itself; nothing unless it is a terminal."""
+    def report(done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\rbaking transfer: {100 * done // max(total, 1)} %", end="" if done < total else "\n", file=sys.stderr, flush=True)
+    return report

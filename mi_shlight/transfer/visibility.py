@@ -1,0 +1,181 @@
+"""Diffuse shadowed transfer at a point, for lights that stand inside the scene.
+
+The papers' visibility is a property of the receiver alone, "does a ray leave the scene". In a closed room every ray hits a wall; what is meant is
+whether anything lies between the point and the light. So emitting shapes never occlude, and a hit counts only if it is nearer than the light
+in that direction.
+
+Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their visibility is taken from the
+nearest direction that does hit a light (for a light grown by a margin within which it may move). So the visibility is constant wherever a point sees all of its lights,
+or none: there the transfer is exact up to the band limit of the cosine, with no ringing from walls, from the ceiling behind a light or from
+distant silhouettes; only the silhouettes that cross the light itself remain.
+"""
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+
+from ..light.polygon import direction
+from ..sh.basis import sh_basis
+from .cosine import cosine_transfer
+
+GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+def occluder_scene(scene):
+    """The scene without its emitting shapes, for visibility rays. None if nothing is left."""
+    shapes = {f"shape_{i}": s for i, s in enumerate(scene.shapes()) if not s.is_emitter()}
+    return mi.load_dict({"type": "scene", **shapes}, optimize=False) if shapes else None
+
+
+def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, offset, active=True) -> tuple:
+    """SH coefficients of ``V(p, omega) max(0, n . omega) / pi`` towards the lights of one group.
+
+    Cosine-distributed Fibonacci directions, shifted by `offset`; the mean visibility times the analytic cosine serves as a
+    control variate, so points that see all or nothing of their lights carry no sampling error.
+
+    Parameters
+    ----------
+    occluders : mi.Scene or None
+        What can block the light (:py:func:`occluder_scene`).
+    lights : BakeLights
+        Light polygons and the margin they may move in.
+    group : (UInt32, UInt32)
+        First light of the group and one past its last.
+    p, n : mi.Point3f, mi.Normal3f
+        Points and unit normals; rays start at a small offset along `n`.
+    samples : int
+        Number of directions per point.
+    offset : mi.Point2f
+        Shift of the direction set, in [0, 1)^2.
+
+    Returns
+    -------
+    (list of (order + 1)**2 floats, visibility, conflict): the coefficients in 1/sr; the cosine-weighted mean of V in [0, 1]; and the cosine-weighted part of the
+    hemisphere, in [0, 1], in which two lights of the group stand behind each other with an occluder between, which one V cannot represent.
+    """
+    frame = mi.Frame3f(n)
+    origin = p + n * ((1 + dr.max(abs(p))) * mi.math.RayEpsilon)
+    count = (order + 1) ** 2
+
+    def body(s, visible, conflict, weighted, plain, origin, offset):
+        u = (mi.Float(s) + offset.x) / samples
+        angle = 2 * dr.pi * (mi.Float(s) * GOLDEN + offset.y - dr.floor(mi.Float(s) * GOLDEN))
+        radius = dr.sqrt(u)
+        sin, cos = dr.sincos(angle)
+        d = frame.to_world(mi.Vector3f(radius * cos, radius * sin, dr.sqrt(dr.maximum(1 - u, 0))))
+        target, distance, farther = lights.nearest(group, origin, d)
+        blocked, hidden = mi.Bool(False), mi.Bool(False)
+        if occluders is not None:
+            blocked = _blocked(occluders, origin, target, distance, active)
+            if lights.crowded:
+                behind = active & ~blocked & (farther > distance * (1 + 1e-3))
+                hidden = behind & _blocked(occluders, origin, target, farther, behind)
+        v = dr.select(blocked, mi.Float(0), 1)
+        basis = sh_basis(d, order)
+        weighted = [dr.fma(v, y, w) for y, w in zip(basis, weighted)]
+        plain = [y + w for y, w in zip(basis, plain)]
+        return s + 1, visible + v, conflict + dr.select(hidden, mi.Float(1), 0), weighted, plain, origin, offset
+
+    zeros = lambda: [mi.Float(0) for _ in range(count)]
+    last = dr.select(active, mi.UInt32(samples), 0)
+    _, visible, conflict, weighted, plain, _, _ = dr.while_loop(
+        (mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), origin, offset), lambda s, *_: s < last, body, mode="symbolic")
+    mean = visible / samples
+    exact = cosine_transfer(n, order)
+    coeffs = [dr.fma(mean, e - b / samples, w / samples) for e, b, w in zip(exact, plain, weighted)]
+    return [dr.select(visible > 0, c, 0) for c in coeffs], mean, conflict / samples
+
+
+class BakeLights:
+    """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
+
+    def __init__(self, outlines: list, normals, margin: float, crowded: bool):
+        """`outlines`: per light its boundary edges (E, 2, 3); `normals` (K, 3); `crowded`: several lights share a group."""
+        flat = lambda rows: mi.Float([float(v) for row in rows for v in row.ravel()])
+        self.edges = flat(outlines)
+        totals = [0]
+        for outline in outlines:
+            totals.append(totals[-1] + len(outline))
+        self.first_edge = mi.UInt32(totals)
+        self.normal = mi.Float([float(v) for v in normals.ravel()])
+        self.margin, self.crowded = margin, crowded
+
+    def nearest(self, group, x, d) -> tuple:
+        """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such distance).
+
+        `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that does.
+        """
+        def light_body(k, best, best_q, reach, farthest, inside_any, x, d):
+            normal = dr.gather(mi.Vector3f, self.normal, k)
+            first, last = dr.gather(mi.UInt32, self.first_edge, k), dr.gather(mi.UInt32, self.first_edge, k + 1)
+            height = dr.dot(normal, self._vertex(first, 0) - x)
+            slope = dr.dot(normal, d)
+            plane = dr.select(height * slope > 0, height / dr.select(slope != 0, slope, 1), dr.inf)
+            axis = dr.select(abs(normal.x) > 0.9, mi.Vector3f(0, 1, 0), mi.Vector3f(1, 0, 0))
+            across = dr.cross(normal, axis)
+            along = dr.cross(normal, across)
+            hit = d * dr.select(dr.isfinite(plane), plane, 0)
+
+            def edge_body(e, inside, near, near_q, near_distance, x, d, hit):
+                v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
+                q, chord2 = _nearest_on_arc(v_i, v_j, d)
+                distance = _distance_on_edge(v_i, v_j, q)
+                # even-odd rule in the light's plane
+                y_i, y_j = dr.dot(v_i - hit, across), dr.dot(v_j - hit, across)
+                x_i, x_j = dr.dot(v_i - hit, along), dr.dot(v_j - hit, along)
+                crosses = (y_i > 0) != (y_j > 0)
+                right = x_i - y_i * (x_j - x_i) / dr.select(crosses, y_j - y_i, 1) > 0
+                inside = inside ^ (crosses & right)
+                closer = chord2 < near
+                return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q),
+                        dr.select(closer, distance, near_distance), x, d, hit)
+
+            _, inside, near, near_q, near_distance, *_ = dr.while_loop(
+                (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), x, d, hit),
+                lambda e, *_: e < last, edge_body, mode="symbolic")
+            inside &= dr.isfinite(plane)
+            chord2 = dr.select(inside, 0, near)
+            distance = dr.select(inside, plane, dr.minimum(near_distance, plane))
+            closer = (chord2 < best) | (inside & inside_any & (distance < reach))
+            return (k + 1, dr.select(closer, chord2, best), dr.select(closer, dr.select(inside, d, near_q), best_q),
+                    dr.select(closer, distance, reach), dr.select(inside, dr.maximum(farthest, distance), farthest),
+                    inside_any | inside, x, d)
+
+        first, last = group
+        _, chord2, q, distance, farthest, *_ = dr.while_loop(
+            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, mi.Vector3f(d)),
+            lambda k, *_: k < last, light_body, mode="symbolic")
+        if self.margin > 0:
+            angle = dr.minimum(dr.atan2(mi.Float(self.margin), distance), 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1)))
+            sin, cos = dr.sincos(angle)
+            q = mi.Vector3f(q * cos + direction(d - q * dr.dot(d, q)) * sin)
+        return q, distance, farthest
+
+    def _vertex(self, edge, end: int):
+        return dr.gather(mi.Point3f, self.edges, 2 * edge + end)
+
+
+def _nearest_on_arc(v_i, v_j, d) -> tuple:
+    """Unit vector on the arc from `v_i` to `v_j` nearest to `d`, and the squared chord between the two."""
+    a, b = direction(v_i), direction(v_j)
+    normal = direction(dr.cross(a, b))
+    q = direction(d - normal * dr.dot(d, normal))
+    within = (dr.dot(dr.cross(normal, a), q) > 0) & (dr.dot(dr.cross(b, normal), q) > 0)
+    end = dr.select(dr.dot(a, d) > dr.dot(b, d), a, b)
+    q = dr.select(within, q, end)
+    return q, dr.squared_norm(d - q)
+
+
+def _distance_on_edge(v_i, v_j, q):
+    """Distance to the point of the segment `v_i` .. `v_j` that lies in direction `q`."""
+    a, b = dr.norm(dr.cross(v_i, q)), dr.norm(dr.cross(q, v_j))
+    t = dr.select(a + b > 0, a / dr.select(a + b > 0, a + b, 1), 0)
+    return dr.norm(v_i + t * (v_j - v_i))
+
+
+def _blocked(occluders, origin, d, distance, active):
+    ray = mi.Ray3f(origin, d)
+    ray.maxt = dr.minimum(distance * (1 - mi.math.ShadowEpsilon), dr.largest(mi.Float))
+    return occluders.ray_test(ray, active=active)

@@ -1,0 +1,323 @@
+r"""
+.. _integrator-shprt:
+
+SH-lit precomputed radiance transfer (:monosp:`shprt`)
+------------------------------------------------------
+
+.. pluginparameters::
+
+ * - order
+   - |int|
+   - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. (Default: 8)
+
+ * - method
+   - |string|
+   - How polygons are projected: ``recurrence`` or ``auto``, see :py:func:`mi_shlight.project_polygon`. (Default: ``auto``)
+
+ * - transfer
+   - |string|
+   - ``unshadowed``: lights shine through everything; analytic, no bake. ``shadowed``: soft shadows. (Default: ``shadowed``)
+
+ * - transfer_domain
+   - |string|
+   - Where shadowed transfer is computed. ``vertex``: baked once at the vertices of (refined) meshes and interpolated; shapes that are not meshes fall
+     back to ``pixel``. ``pixel``: rays are traced at every camera hit, nothing is baked. (Default: ``vertex``)
+
+ * - transfer_samples
+   - |int|
+   - Visibility rays per baked point (``vertex``) or per camera hit (``pixel``). 0 means 1024 and 64. (Default: 0)
+
+ * - transfer_file
+   - |string|
+   - File with a bake of this scene, written by ``mi-shlight bake`` or :py:meth:`mi_shlight.Transfer.save`, relative to the scene's folder. Empty: bake at the first
+     render and keep the result as long as the geometry stays. A file holds its own order, which must not be lower than ``order``. (Default: empty)
+
+ * - max_edge
+   - |float|
+   - Longest edge of a baked triangle in scene units; longer ones are refined for baking only. 0: 1/64 of the diagonal of the receivers' bounding box. (Default: 0)
+
+ * - light_margin
+   - |float|
+   - Distance in scene units by which a light's vertices may move before the transfer is baked again. (Default: 0)
+
+ * - strict
+   - |bool|
+   - Turn warnings about what is left out of the picture, and about stale transfer, into errors. (Default: false)
+
+ * - coefficients
+   - |bool|
+   - Output the SH coefficients of the light at the visible points as AOVs ``L.l.m``, in steradians times the luminance of the radiance. (Default: false)
+
+Direct illumination of diffuse surfaces by uniform polygonal area lights: each light is projected to spherical harmonics in closed form at every shading point
+and multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x) \sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and Ramamoorthi 2018, equation 4). The picture is free of
+noise apart from pixel sampling; its error is the band limit of the transfer and, for ``vertex``, its interpolation.
+
+Lights are all emitters ``shlight`` and ``area`` on rectangles and planar meshes (holes and concave outlines included). They are one-sided, do not cast shadows, and are seen
+directly with their radiance. A texture on a light is replaced by its mean.
+
+Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed normals, opacity. Interreflection is not
+computed: compare with ``path`` at ``max_depth`` 2.
+
+Differentiable through ``mi.render`` with respect to radiance and reflectance; transfer is held fixed.
+
+.. tabs::
+    .. code-tab:: xml
+
+        <integrator type="shprt">
+            <integer name="order" value="8"/>
+            <string name="transfer" value="shadowed"/>
+        </integrator>
+
+    .. code-tab:: python
+
+        'type': 'shprt',
+        'order': 8,
+        'transfer': 'shadowed'
+
+JIT variants (``llvm_*``, ``cuda_*``) only.
+"""
+from __future__ import annotations
+
+import os
+import warnings
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
+from ..light.polygon import EdgeBuffer
+from ..light.project import METHODS, edge_shader, project_edges
+from ..scene import LightTable, fingerprint, polygon_lights, receivers, same_fingerprint, shape_index
+from ..sh.basis import check_order
+from ..transfer.bake import MAX_GROUPS, bake_transfer
+from ..transfer.cosine import cosine_transfer
+from ..transfer.store import load_transfer
+from ..transfer.visibility import BakeLights, occluder_scene, shadowed_transfer
+from .shlight import check_attached
+
+DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
+
+DEFAULTS = {"order": 8, "method": "auto", "transfer": "shadowed", "transfer_domain": "vertex", "transfer_samples": 0, "transfer_file": "",
+            "max_edge": 0.0, "light_margin": 0.0, "strict": False, "coefficients": False}
+
+
+def read_parameters(props) -> dict:
+    """Checked parameters of the plugin; TypeError or ValueError names a bad one, its rule and the fix."""
+    check_parameters("shprt", props, tuple(DEFAULTS))
+    value = {name: props.get(name, default) for name, default in DEFAULTS.items()}
+    value["order"] = check_order("shprt", value["order"])
+    check_choice("shprt", "method", value["method"], METHODS)
+    check_choice("shprt", "transfer", value["transfer"], ("unshadowed", "shadowed"))
+    check_choice("shprt", "transfer_domain", value["transfer_domain"], tuple(DEFAULT_SAMPLES))
+    hint = "It is a number of rays; 0 chooses by transfer_domain."
+    value["transfer_samples"] = check_integer("shprt", "transfer_samples", value["transfer_samples"], 0, 65536, hint)
+    for name in ("max_edge", "light_margin"):
+        value[name] = check_number("shprt", name, value[name], 0, hint="It is a length in scene units.")
+    for name in ("strict", "coefficients"):
+        if not isinstance(value[name], bool):
+            raise TypeError(message("shprt", name, "be true or false", value[name]))
+    if not isinstance(value["transfer_file"], str):
+        raise TypeError(message("shprt", "transfer_file", "be the path of a baked file", value["transfer_file"]))
+    if value["transfer_file"]:
+        if value["transfer"] != "shadowed" or value["transfer_domain"] != "vertex":
+            raise ValueError(message("shprt", "transfer_file", "go with transfer='shadowed' and transfer_domain='vertex'", value["transfer_file"]))
+        path = str(mi.file_resolver().resolve(value["transfer_file"]))
+        if not os.path.isfile(path):
+            raise FileNotFoundError(message("shprt", "transfer_file", "name an existing file", value["transfer_file"],
+                                            "Bake one with 'mi-shlight bake SCENE -o FILE', or leave it out to bake at the first render."))
+        value["transfer_file"] = path
+    return value
+
+
+class SceneState:
+    """What the integrator keeps of a scene between renders: everything that stays as long as no geometry moves."""
+
+    def __init__(self, scene, strict: bool, held: list):
+        self.held = held
+        self.lights = polygon_lights(scene, strict)
+        lit = receivers(scene, strict)
+        size = 1 + max((shape_index(r.shape) for r in lit), default=0)
+        table = np.zeros((2, size), int)
+        for r in lit:
+            table[:, shape_index(r.shape)] = r.two_sided, r.black
+        self.size = size
+        self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
+        self.all_meshes = all(r.shape.is_mesh() for r in lit)
+        self.outlines = [light.outline for light in self.lights]
+        self.occluders = occluder_scene(scene)
+        grouped = len(self.lights) <= MAX_GROUPS
+        self.groups = list(range(len(self.lights) + 1)) if grouped else [0, len(self.lights)]
+        self.lookup = None
+
+    def bake_lights(self, margin: float) -> BakeLights:
+        normals = np.array([light.normal for light in self.lights])
+        return BakeLights(self.outlines, normals, margin, len(self.groups) != len(self.lights) + 1)
+
+    def flag(self, table, shape, active):
+        """Entry of a per-shape table at a hit, as a mask."""
+        number = dr.reinterpret_array(mi.UInt32, shape)
+        return dr.gather(mi.UInt32, table, number, active & (number < self.size)) > 0
+
+
+def moved(old: list, new: list) -> float:
+    """Largest distance any vertex of the lights' outlines has moved; infinite if lights or edges were added or removed."""
+    if [o.shape for o in old] != [n.shape for n in new]:
+        return float("inf")
+    return max(float(np.linalg.norm(o - n, axis=-1).max()) for o, n in zip(old, new))
+
+
+def build():
+    """Class of the integrator for Mitsuba's current variant, whose types it is bound to."""
+    from mitsuba.python.ad.integrators.common import ADIntegrator
+
+    class SHPRT(ADIntegrator):
+        __doc__ = globals()["__doc__"]
+
+        def __init__(self, props):
+            self._parameters = read_parameters(props)
+            super().__init__(mi.Properties("shprt"))
+            for name, value in self._parameters.items():
+                setattr(self, name, value)
+            self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
+            if self._transfer is not None and self._transfer.order < self.order:
+                raise ValueError(message("shprt", "order", f"be at most {self._transfer.order}, the order of '{self.transfer_file}'", self.order,
+                                         "Bake the file at a higher order, or lower 'order'."))
+            self._state = None
+
+        def parameters(self) -> dict:
+            """All parameters with their values, as `mi.load_dict` takes them."""
+            return dict(self._parameters)
+
+        def to_string(self):
+            lines = ",\n".join(f"  {name} = {value!r}" for name, value in self._parameters.items())
+            return f"SHPRT[\n{lines}\n]"
+
+        def aov_names(self):
+            if not self.coefficients:
+                return []
+            return [f"L.{l}.{m}" for l in range(self.order + 1) for m in range(-l, l + 1)]
+
+        def prepare_scene(self, scene, progress=True):
+            """Find the lights and bake the transfer if that is due; rendering calls it. Returns the baked transfer or None.
+
+            `progress`: as in :py:func:`mi_shlight.bake_transfer`.
+            """
+            held = fingerprint(scene)
+            if self._state is None or not same_fingerprint(self._state.held, held):
+                check_attached(scene)
+                self._state = SceneState(scene, self.strict, held)
+            if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
+                return None
+            if self._state.lookup is None:
+                self._transfer = self._current_transfer(scene, progress)
+                self._state.lookup = self._transfer.look_up(scene)
+            return self._transfer
+
+        def _current_transfer(self, scene, progress):
+            """The transfer at hand if it still fits the scene, otherwise a new bake."""
+            baked = self._transfer
+            if baked is not None and self.transfer_file:
+                baked.check(scene)
+            if baked is not None and (self.transfer_file or baked.fits(scene)):
+                distance = moved(baked.outlines, self._state.outlines)
+                if distance <= baked.light_margin:
+                    return baked
+                text = (f"shprt: a light has moved by {distance:.4g} since the transfer was baked, more than light_margin = {baked.light_margin:g}. "
+                        "Raise light_margin to keep a bake while lights move")
+                if self.strict:
+                    raise ValueError(f"{text} (an error because 'strict' is true).")
+                warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
+            return bake_transfer(scene, self.order, self.transfer, self._samples(), max_edge=self.max_edge, light_margin=self.light_margin,
+                                 progress=progress)
+
+        def _samples(self) -> int:
+            return self.transfer_samples or DEFAULT_SAMPLES[self.transfer_domain]
+
+        def sample(self, mode, scene, sampler, ray, active=True, **kwargs):
+            self.prepare_scene(scene)
+            with dr.resume_grad(when=mode != dr.ADMode.Primal):
+                pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+                si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
+                valid = active & si.is_valid()
+                table = LightTable(self._state.lights)
+                reflected = self._reflected(table, pi, si, sampler, valid)
+                emitted = si.emitter(scene).eval(si, active)
+                aovs = self._coefficients(table, si, valid) if self.coefficients else []
+                return mi.depolarizer(reflected) + emitted, valid, aovs, None
+
+        def _reflected(self, table, pi, si, sampler, valid):
+            """Light scattered towards the camera; unpolarised spectrum."""
+            state = self._state
+            front = mi.Frame3f.cos_theta(si.wi) > 0
+            lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
+            n = dr.detach(dr.select(front, si.sh_frame.n, -si.sh_frame.n))
+            transfer_of = self._transfer_source(pi, si, n, ~front, sampler, lit)
+            irradiance = self._lighting(table, transfer_of, si, lit)
+            return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
+
+        def _transfer_source(self, pi, si, n, back_side, sampler, lit):
+            """Function from a light group's number to the transfer vector at each hit."""
+            if self.transfer == "unshadowed":
+                coeffs = cosine_transfer(n, self.order)
+                return lambda g, first, last: coeffs
+            lookup, traced, p = None, lit, dr.detach(si.p)
+            if self.transfer_domain == "vertex":
+                lookup = self._state.lookup
+                rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
+                traced = lit & ~baked
+            if lookup is None or not self._state.all_meshes:
+                bake_lights, shift = self._state.bake_lights(0.0), sampler.next_2d(lit)
+                samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
+
+            def transfer_of(g, first, last):
+                coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
+                if lookup is None or not self._state.all_meshes:
+                    by_rays = shadowed_transfer(self._state.occluders, bake_lights, (first, last), p, n, self.order, samples, shift, traced)[0]
+                    coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
+                return coeffs
+
+            return transfer_of
+
+        def _lighting(self, table, transfer_of, si, lit):
+            """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
+            groups = mi.UInt32(self._state.groups)
+            group_count = len(self._state.groups) - 1
+            wavelengths = si.wavelengths
+
+            def group_body(g, total, x):
+                first, last = dr.gather(mi.UInt32, groups, g), dr.gather(mi.UInt32, groups, g + 1)
+                shade = edge_shader([dr.detach(t) for t in transfer_of(g, first, last)], self.order, self.method)
+
+                def light_body(k, total, x):
+                    begin, end = table.edge_range(k)
+                    end = dr.select(lit & table.facing(k, x), end, begin)
+                    edges = EdgeBuffer(table.positions, table.start, table.end, begin, end)
+                    return k + 1, total + table.radiance(k, wavelengths) * shade(edges, x, table.apex(k, x)), x
+
+                return (g + 1, *dr.while_loop((first, total, x), lambda k, *_: k < last, light_body, mode="symbolic", max_iterations=-1)[1:])
+
+            start = (mi.UInt32(0), table.radiance(mi.UInt32(0), wavelengths) * 0, mi.Point3f(si.p))
+            return dr.while_loop(start, lambda g, *_: g < group_count, group_body, mode="symbolic", max_iterations=-1)[1]
+
+        def _coefficients(self, table, si, valid):
+            """SH coefficients of all lights at the hits, weighted by the luminance of their radiance."""
+            wavelengths = si.wavelengths
+
+            def body(k, total, x):
+                begin, end = table.edge_range(k)
+                end = dr.select(valid & table.facing(k, x), end, begin)
+                edges = EdgeBuffer(table.positions, table.start, table.end, begin, end)
+                coeffs = project_edges(edges, x, table.apex(k, x), self.order, self.method)
+                weight = luminance(table.radiance(k, wavelengths), wavelengths)
+                return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
+
+            start = (mi.UInt32(0), [mi.Float(0) for _ in range((self.order + 1) ** 2)], mi.Point3f(si.p))
+            return dr.while_loop(start, lambda k, *_: k < table.count, body, mode="symbolic", max_iterations=-1)[1]
+
+    def luminance(radiance, wavelengths):
+        if mi.is_monochromatic:
+            return radiance[0]
+        return mi.luminance(radiance, wavelengths) if mi.is_spectral else mi.luminance(radiance)
+
+    return SHPRT
