@@ -18,7 +18,7 @@ from pathlib import Path
 import mi_shlight
 
 from .errors import SHLightWarning, message
-from .files import check_output, replacing
+from .files import check_output
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
 
@@ -76,13 +76,16 @@ def _render(arguments) -> None:
     integrator = sh_integrator(scene, _overrides(arguments))
     _announce(arguments, scene, integrator)
     start = time.perf_counter()
+    integrator.prepare_scene(scene, _progress(arguments, "bake"))
+    bake_seconds = time.perf_counter() - start
+    start = time.perf_counter()
     image, names = render(scene, integrator, sensor=arguments.sensor, spp=arguments.spp, seed=arguments.seed,
                           progress=_progress(arguments, "render"))
     seconds = time.perf_counter() - start
     spp = arguments.spp or scene.sensors()[arguments.sensor].sampler().sample_count()
     metadata = {**_metadata(arguments), **integrator.parameters(), "spp": spp, "seed": arguments.seed}
     write_exr(output, {name: image[..., k] for k, name in enumerate(names)}, metadata)
-    _say(arguments, f"{output}: {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s")
+    _say(arguments, f"{output}: {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s after {bake_seconds:.2f} s of preparation")
 
 
 def _bake(arguments) -> None:
@@ -90,15 +93,17 @@ def _bake(arguments) -> None:
 
     output = check_output("bake", "-o", arguments.output)
     scene = _load(arguments)
-    settings = sh_integrator(scene, {**_overrides(arguments), "transfer_file": ""}).parameters()
+    integrator = sh_integrator(scene, {"transfer": "shadowed", **_overrides(arguments), "transfer_domain": "vertex",
+                                       "transfer_file": ""})
     start = time.perf_counter()
-    transfer = mi_shlight.bake_transfer(
-        scene, settings["order"], settings["transfer"], settings["transfer_samples"] or 1024, max_edge=settings["max_edge"],
-        light_margin=settings["light_margin"], progress=_progress(arguments, "bake"))
+    transfer = integrator.prepare_scene(scene, _progress(arguments, "bake"))
     seconds = time.perf_counter() - start
-    with replacing(output) as temporary:
-        transfer.save(temporary)
-    _say(arguments, f"{output}: {output.stat().st_size / 2**20:.1f} MiB, {seconds:.2f} s\n{transfer}")
+    if transfer is None:
+        raise ValueError(message("bake", "--transfer", "name a transfer that is baked", arguments.transfer, "Choose 'shadowed'."))
+    transfer.save(output)
+    groups, points, _ = transfer.coeffs.shape
+    _say(arguments, f"{output}: {points} points, {groups} light groups, order {transfer.order}, {transfer.samples} rays per point; "
+         f"{output.stat().st_size / 2**20:.1f} MiB, {seconds:.2f} s")
 
 
 def _compare(arguments) -> None:
@@ -129,7 +134,7 @@ def _compare(arguments) -> None:
          f"  mean relative error  {errors['mean_relative']:8.2%}   (noise of the reference {noise['mean_relative']:.2%})\n"
          f"  bias                 {errors['bias']:+8.2%}\n"
          f"  RMSE                 {errors['rmse']:8.4f}   (noise of the reference {noise['rmse']:.4f})\n"
-         f"  95 % of pixels below {errors['p95']:8.2%}   of the mean, 99 % below {errors['p99']:.2%}, largest {errors['max']:.2%}\n"
+         f"  95 % of pixels within{errors['p95']:8.2%}   of the mean, 99 % within {errors['p99']:.2%}, all within {errors['max']:.2%}\n"
          f"  {times_text(report['times'], report['spp'])}\n"
          f"wrote sh.exr, reference.exr, panel.png, report.json to {folder}")
 
@@ -149,7 +154,8 @@ def _info(arguments) -> None:
         llvm = f"not usable: {paragraph(error)}"
     lines = {"mi_shlight": mi_shlight.__version__, "mitsuba": version("mitsuba"), "drjit": version("drjit"),
              "numpy": version("numpy"), "OpenEXR": version("OpenEXR"), "Python": sys.version.split()[0], "LLVM": llvm,
-             "CUDA": "usable" if _has_cuda() else "not usable", "variants": ", ".join(mitsuba.variants()), "default": DEFAULT_VARIANT, "cores": str(os.cpu_count())}
+             "CUDA": "usable" if _has_cuda() else "not usable", "variants": ", ".join(mitsuba.variants()),
+             "default": DEFAULT_VARIANT, "cores": str(os.cpu_count())}
     for name, text in lines.items():
         print(f"{name:<11}{text}")
 
@@ -352,7 +358,7 @@ def _parser() -> _Parser:
     _add_scene(compare, "DIR", "folder for the results; made if missing")
     _add_camera(compare)
     compare.add_argument("--spp", type=_number, default=16, metavar="N", help="samples per pixel of the SH image (%(default)s)")
-    compare.add_argument("--reference-spp", type=_number, default=512, metavar="N",
+    compare.add_argument("--reference-spp", type=_number, default=1024, metavar="N",
                          help="samples per pixel of the path-traced reference (%(default)s)")
     _add_shprt(compare, SHPRT_OPTIONS)
     compare.set_defaults(run=_compare)

@@ -17,7 +17,7 @@ from .rendering import render, sh_integrator
 REPEATS = 3
 
 
-def compare(scene, folder, *, integrator=None, spp=16, reference_spp=512, sensor=0, seed=0, title="scene", metadata=None,
+def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, sensor=0, seed=0, title="scene", metadata=None,
             progress=None):
     """Render a scene with `shprt` and with `path`, and write both images, a panel and a report.
 
@@ -50,8 +50,8 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=512, sensor
     -------
     report : dict
         ``errors`` (see `image_errors`), ``noise`` (the same figures for the reference's own Monte Carlo error) and ``times`` in
-        seconds: ``first_render`` (bake, compile and render), ``bake`` (None if the integrator took no bake), ``sh`` and
-        ``direct`` (median of three repeated renders at the same `spp`) and their ratio ``sh_over_direct``.
+        seconds: ``bake`` (finding the lights and baking or reading the transfer), ``first_render`` (compile and render), ``sh``
+        and ``direct`` (median of three repeated renders at the same `spp`) and their ratio ``sh_over_direct``.
 
     Raises
     ------
@@ -78,8 +78,10 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=512, sensor
         return render(scene, what, sensor=sensor, spp=samples, seed=image_seed, progress=bar)
 
     start = time.perf_counter()
+    integrator.prepare_scene(scene, (lambda done, total: progress("bake", done, total)) if progress else False)
+    bake = time.perf_counter() - start
     sh, names = image(integrator, "shprt", spp, seed)
-    first_render = time.perf_counter() - start
+    first_render = time.perf_counter() - start - bake
 
     path = mi.load_dict({"type": "path", "max_depth": 2})
     half = (reference_spp + 1) // 2
@@ -90,7 +92,7 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=512, sensor
     noise = image_errors(halves[0], reference, mask)
     errors = image_errors(colours(sh, names), reference, mask)
 
-    times = {"first_render": first_render, "bake": integrator.bake_seconds}
+    times = {"first_render": first_render, "bake": bake}
     direct = mi.load_dict({"type": "direct"})
     render(scene, direct, sensor=sensor, spp=spp, seed=seed)  # compiles
     samples = {"sh": [], "direct": []}

@@ -40,6 +40,7 @@ def draw_panel(path, image, reference, mask, report) -> None:
     matplotlib = require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import PercentFormatter
 
     exposure = 0.9 / max(float(np.percentile(reference[mask].max(axis=-1), 99)), 1e-12)
     difference = (image - reference).mean(axis=-1) / reference[mask].mean()
@@ -58,13 +59,13 @@ def draw_panel(path, image, reference, mask, report) -> None:
     axes[2].set_title("difference: SH \N{MINUS SIGN} path traced")
     colours = matplotlib.colormaps["RdBu_r"].with_extremes(bad="0.6")
     shown = axes[2].imshow(np.ma.masked_where(~mask, difference), cmap=colours, vmin=-limit, vmax=limit, interpolation="nearest")
-    bar = figure.colorbar(shown, ax=axes[2], extend="both", format=matplotlib.ticker.PercentFormatter(xmax=1))
+    bar = figure.colorbar(shown, ax=axes[2], extend="both", format=PercentFormatter(xmax=1, decimals=None if limit < 0.05 else 0))
     bar.set_label("of the reference's mean (grey: not compared)")
     for axis in axes:
         axis.set_xticks([])
         axis.set_yticks([])
     figure.suptitle(f"{report['scene']}: mean error {errors['mean_relative']:.2%} (noise of the reference "
-                    f"{noise['mean_relative']:.2%}), 99 % of pixels within {errors['p99']:.1%}, bias {errors['bias']:+.2%}")
+                    f"{noise['mean_relative']:.2%}), 99 % of pixels within {errors['p99']:.1%} of the mean, bias {errors['bias']:+.2%}")
     figure.supxlabel(f"transfer {settings['transfer']} per {settings['transfer_domain']}; {report['size'][0]} x {report['size'][1]} "
                      f"pixels; {times_text(times, report['spp'])}; both images: exposure x{exposure:.3g}, sRGB", fontsize="medium")
     with replacing(path) as temporary:
@@ -73,9 +74,8 @@ def draw_panel(path, image, reference, mask, report) -> None:
 
 def times_text(times, spp) -> str:
     """One line with the times of a comparison in seconds."""
-    bake = "" if times["bake"] is None else f", of that bake {times['bake']:.2f} s"
-    return (f"first render {times['first_render']:.2f} s{bake}; repeated {times['sh']:.2f} s = {times['sh_over_direct']:.2f} x "
-            f"Mitsuba's direct ({times['direct']:.2f} s) at {spp} spp")
+    return (f"bake {times['bake']:.2f} s, first render {times['first_render']:.2f} s; repeated {times['sh']:.2f} s = "
+            f"{times['sh_over_direct']:.2f} x Mitsuba's direct ({times['direct']:.2f} s) at {spp} spp")
 
 
 def _round_up(value) -> float:

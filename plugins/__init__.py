@@ -5,7 +5,7 @@ each module's ``build()`` holds the class statement and returns the class.
 """
 from __future__ import annotations
 
-from ..llvm import require_llvm
+from ..llvm import require_llvm, select_llvm
 
 # Mitsuba looks up what kind of plugin a name stands for in this variant, whichever one is active.
 _KIND_VARIANT = "scalar_rgb"
@@ -27,6 +27,7 @@ def register() -> None:
     LLVMError
         In an ``llvm_*`` variant, if LLVM's library is older than version 19. Then ``mitsuba.set_variant`` raises it too.
     """
+    select_llvm()  # has an effect only before Dr.Jit is imported, which `import mitsuba` does
     import mitsuba as mi
 
     mi.detail.add_variant_callback(_register_variant)

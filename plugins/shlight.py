@@ -90,8 +90,13 @@ def check_attached(scene) -> None:
         Names the light and the remedy.
     """
     for light in scene.emitters():
-        if light.class_name() == "SHLight" and light.get_shape() is None:
+        if type(light).__name__ == "SHLight" and light.get_shape() is None:
             raise detached_light(light)
+
+
+def one_line(value):
+    """`value` itself if it prints on one line, otherwise its text without line breaks."""
+    return value if "\n" not in repr(value) else " ".join(str(value).split())
 
 
 def build():
@@ -115,7 +120,7 @@ def build():
         def __init__(self, props):
             if "to_world" in props:
                 raise ValueError(message(
-                    "shlight", "to_world", "not be given", props["to_world"],
+                    "shlight", "to_world", "not be given", one_line(props["to_world"]),
                     "The light takes the place and size of its shape: move 'to_world' to the shape."))
             super().__init__(props)
             self.radiance = self._read_radiance(props)
@@ -129,12 +134,11 @@ def build():
             kinds = mi.Properties.Type
             if "radiance" in props:
                 kind = props.type("radiance")
-                value = props["radiance"] if kind not in (kinds.Any,) else "an object of another kind"
-                valid = (isinstance(value, mi.Texture) if kind == kinds.Object
+                valid = (isinstance(props["radiance"], mi.Texture) if kind == kinds.Object
                          else kind in (kinds.Float, kinds.Integer, kinds.Color, kinds.Spectrum))
                 if not valid:
                     raise TypeError(message(
-                        "shlight", "radiance", "be a spectrum, a texture or a number, in W/(m^2 sr)", value,
+                        "shlight", "radiance", "be a spectrum, a texture or a number, in W/(m^2 sr)", one_line(props["radiance"]),
                         'For instance <rgb name="radiance" value="1, 1, 1"/>.'))
             return props.get_emissive_texture("radiance", 1.0)
 
@@ -143,9 +147,9 @@ def build():
             known = ("radiance", "sampling_weight")
             for name in props.unqueried():
                 near = difflib.get_close_matches(name, known, n=1)
-                hint = f"Did you mean '{near[0]}'?" if near else "Remove it."
+                hint = f"Perhaps '{near[0]}' was meant." if near else "Remove it."
                 raise ValueError(message("shlight", name, "be one of the parameters 'radiance' and 'sampling_weight'",
-                                         props.as_string(name), hint))
+                                         one_line(props.as_string(name)), hint))
 
         def surface(self):
             """The shape that emits; DetachedLightError if there is none."""

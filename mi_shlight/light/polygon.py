@@ -104,21 +104,33 @@ class VertexList:
     def sum(self, term, x, apex, width: int) -> list:
         """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``.
 
-        One symbolic loop, so that kernels do not grow with the vertex count. Vertices with gradients are unrolled
-        instead: Dr.Jit's local memory, which the loop reads them from, does not carry derivatives.
+        One symbolic loop, so that kernels do not grow with the vertex count. The loop reads the vertices from local memory, or, as that carries no
+        derivatives, from a buffer if they have gradients. Only vertices with gradients inside somebody else's symbolic loop are unrolled.
         """
         v, number = self.vertices, type(x[0])
-        if not dr.is_jit_v(x) or dr.grad_enabled(v):
+        attached = dr.grad_enabled(v)
+        if not dr.is_jit_v(x) or attached and dr.flag(dr.JitFlag.SymbolicScope):
             total = [number(0)] * width
             for i in range(len(v)):
                 values = term(v[i] - x, v[(i + 1) % len(v)] - x, apex)
                 total = [t + value for t, value in zip(total, values)]
             return total
-        local, index = dr.alloc_local(type(x), len(v)), dr.uint32_array_t(number)
-        for i, vertex in enumerate(v):
-            local.write(vertex, index(i))
-        endpoints = lambda e: (local.read(e), local.read(dr.select(e + 1 < len(v), e + 1, 0)))
+        index = dr.uint32_array_t(number)
+        read = self._buffer(type(x), index) if attached else self._local(type(x), index)
+        endpoints = lambda e: (read(e), read(dr.select(e + 1 < len(v), e + 1, 0)))
         return _loop_over_edges(index(0), index(len(v)), endpoints, term, x, apex, width)
+
+    def _local(self, kind, index):
+        local = dr.alloc_local(kind, len(self.vertices))
+        for i, vertex in enumerate(self.vertices):
+            local.write(vertex, index(i))
+        return local.read
+
+    def _buffer(self, kind, index):
+        lanes = max(dr.width(v) for v in self.vertices)
+        buffer = kind(*(dr.concat([v[k] + dr.zeros(type(v[k]), lanes) for v in self.vertices]) for k in range(3)))
+        lane = dr.arange(index, lanes)
+        return lambda i: dr.gather(kind, buffer, i * lanes + lane)
 
 
 class EdgeBuffer:

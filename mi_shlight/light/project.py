@@ -49,6 +49,8 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute nothing;
     a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN. Differentiable.
+
+    Evaluate wide results together, ``dr.eval(coeffs)``: reading one coefficient after the other would compute each anew.
     """
     name = "project_polygon"
     n = check_order(name, order)
@@ -59,7 +61,10 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
         raise ValueError(message(name, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
     vertices, x = vectors3(name, vertices=list(vertices), x=x)
     vertices, x = [_not_literal(v) for v in vertices], _not_literal(x)
-    return project_edges(VertexList(vertices), x, interior_direction(vertices, x), n, method)
+    coeffs = project_edges(VertexList(vertices), x, interior_direction(vertices, x), n, method)
+    if dr.is_jit_v(x) and dr.width(coeffs) == 1 and not dr.flag(dr.JitFlag.SymbolicScope):
+        dr.schedule(coeffs)                           # reading them one by one would launch one kernel each
+    return coeffs
 
 
 def _not_literal(v):

@@ -11,9 +11,9 @@ import numpy as np
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
 from ..scene import content_hash, mesh_arrays, polygon_lights, receivers
 from ..sh.basis import check_order
-from .mesh import MAX_ROWS, automatic_edge, refine
+from .mesh import MAX_ROWS, automatic_edge, refine, spread_to_buried
 from .store import MeshBlock, Transfer, occluder_hash
-from .visibility import BakeLights, occluder_scene, shadowed_transfer
+from .visibility import BakeLights, inside_a_body, occluder_scene, shadowed_transfer
 
 MAX_GROUPS = 4
 """Up to this many lights each has its own visibility; more lights share one."""
@@ -70,22 +70,24 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     report = _printer() if progress is True else progress or (lambda done, total: None)
 
     with dr.suspend_grad():
-        meshes, positions, normals, max_edge = _bake_points(lit, max_edge)
+        points, positions, normals, max_edge = _bake_points(lit, max_edge)
         groups = np.arange(len(lights) + 1) if len(lights) <= MAX_GROUPS else np.array([0, len(lights)])
         outlines = [light.outline for light in lights]
         bake_lights = BakeLights(outlines, np.array([light.normal for light in lights]), light_margin, len(lights) > MAX_GROUPS)
-        coeffs, visibility, conflict = _trace(occluder_scene(scene), bake_lights, groups, positions, normals, order, samples, report)
+        occluders = occluder_scene(scene)
+        coeffs, visibility, conflict = _trace(occluders, bake_lights, groups, positions, normals, order, samples, report)
+        _clean_contacts(occluders, points, positions, normals, coeffs, visibility)
     if conflict > 1e-3:
         warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other with an occluder between; more than "
                       f"{MAX_GROUPS} lights share one visibility, so the farther light shines through there.", UnsupportedSceneWarning, stacklevel=2)
     from .. import __version__
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
-    return Transfer(order, transfer, samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict, meshes,
+    return Transfer(order, transfer, samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict, [block for block, _ in points],
                     occluder_hash(scene), versions)
 
 
 def _bake_points(lit: list, max_edge: float) -> tuple:
-    """Blocks, positions (R, 3), normals (R, 3) of all baked points, and the edge length used."""
+    """[(block, refined mesh)], positions (R, 3), normals (R, 3) of all baked points, and the edge length used."""
     shapes = [(r, *mesh_arrays(r.shape)) for r in lit if r.shape.is_mesh() and not r.shape.is_emitter() and not r.black]
     if max_edge == 0:
         corners = np.concatenate([p for _, _, p, _ in shapes]) if shapes else np.zeros((1, 3))
@@ -94,8 +96,9 @@ def _bake_points(lit: list, max_edge: float) -> tuple:
     for receiver, faces, vertices, vertex_normals in shapes:
         mesh = refine(faces, vertices, vertex_normals, max_edge)
         count = len(mesh.positions)
-        blocks.append(MeshBlock(receiver.name, content_hash(receiver.shape, receiver.two_sided), receiver.two_sided, row, count,
-                                mesh.subdivision, mesh.first, mesh.rows))
+        block = MeshBlock(receiver.name, content_hash(receiver.shape, receiver.two_sided), receiver.two_sided, row, count,
+                          mesh.subdivision, mesh.first, mesh.rows)
+        blocks.append((block, mesh))
         positions += [mesh.positions] * (1 + receiver.two_sided)
         normals += [mesh.normals, -mesh.normals][:1 + receiver.two_sided]
         row += count * (1 + receiver.two_sided)
@@ -126,6 +129,20 @@ def _trace(occluders, lights, groups, positions, normals, order: int, samples: i
             conflict = max(conflict, float(np.max(np.array(c), initial=0.0)))
             report(g * rows + part.stop, total)
     return coeffs, visibility, conflict
+
+
+def _clean_contacts(occluders, points, positions, normals, coeffs, visibility) -> None:
+    """Replace the transfer of points inside solid bodies by that of their visible neighbours, in place."""
+    dark = np.flatnonzero((visibility == 0).all(axis=0))
+    if occluders is None or len(dark) == 0:
+        return
+    found = inside_a_body(occluders, _points(mi.Point3f, positions[dark]), _points(mi.Normal3f, normals[dark]))
+    buried = np.zeros(len(positions), bool)
+    buried[dark] = np.array(found)
+    for block, mesh in points:
+        for side in range(1 + block.two_sided):
+            rows = slice(block.first_row + side * block.row_count, block.first_row + (side + 1) * block.row_count)
+            spread_to_buried(mesh, buried[rows], coeffs[:, rows])
 
 
 def _points(kind, rows: np.ndarray):

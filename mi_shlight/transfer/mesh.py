@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 MAX_SUBDIVISION = 256
+RIM = 0.05
 MAX_ROWS = 4_000_000
 """Baked points a scene may have: at order 8, 1.3 GB of transfer."""
 
@@ -22,7 +23,8 @@ class BakeMesh:
     Attributes
     ----------
     positions, normals : ndarray (R, 3), float32
-        Baked points of the front side.
+        Baked points of the front side. Points on the rim of a face are pulled inwards by 5 % of a cell, so that rays from the edge between two walls do not start in
+        the other wall.
     subdivision : ndarray (F,), uint32
         k of each face.
     first : ndarray (F,), uint32
@@ -62,19 +64,55 @@ def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float) -
     subdivision = (2 ** np.ceil(np.log2(parts))).astype(np.uint32)
     sizes = (subdivision + 1) * (subdivision + 2) // 2
     first = np.concatenate([[0], np.cumsum(sizes.astype(np.int64))])
-    points, directions = np.empty((first[-1], 3)), np.empty((first[-1], 3))
+    points, directions, pulls = (np.empty((first[-1], 3)) for _ in range(3))
     for k in np.unique(subdivision):
         chosen = np.flatnonzero(subdivision == k)
         weights = _grid(int(k))
         target = (first[chosen][:, None] + np.arange(len(weights))).ravel()
         points[target] = np.einsum("gc,fcd->fgd", weights, corners[chosen]).reshape(-1, 3)
         directions[target] = np.einsum("gc,fcd->fgd", weights, corner_normals[chosen]).reshape(-1, 3)
+        rim = (weights == 0).any(axis=1)
+        pull = _unit(corners[chosen].mean(axis=1)[:, None] - points[target].reshape(len(chosen), -1, 3)) * rim[:, None]
+        pulls[target] = (pull * (longest[chosen] / k)[:, None, None]).reshape(-1, 3)
     directions = _unit(directions)
     extent = max(np.ptp(positions, axis=0).max(), 1e-30) if len(positions) else 1.0
     keys = np.concatenate([np.round(points / (extent * 1e-6)), np.round(directions * 1e3)], axis=1).astype(np.int64)
     _, index, rows = np.unique(_hashable(keys), return_index=True, return_inverse=True)
-    return BakeMesh(points[index].astype(np.float32), directions[index].astype(np.float32), subdivision,
-                    first[:-1].astype(np.uint32), rows.reshape(-1).astype(np.uint32))
+    rows, points, directions = rows.reshape(-1), points[index], directions[index]
+    inwards = np.stack([np.bincount(rows, column, len(index)) for column in pulls.T], axis=1) / np.bincount(rows, minlength=len(index))[:, None]
+    inwards -= directions * (inwards * directions).sum(axis=1, keepdims=True)
+    return BakeMesh((points + RIM * inwards).astype(np.float32), directions.astype(np.float32), subdivision,
+                    first[:-1].astype(np.uint32), rows.astype(np.uint32))
+
+
+def spread_to_buried(mesh: BakeMesh, buried: np.ndarray, values: np.ndarray) -> None:
+    """Overwrite `values` (..., R, N) at buried points by the mean over their neighbours that are not, in place.
+
+    A wall or floor that runs into another body has points inside that body, where everything is dark. Interpolation would draw this dark out to the visible side,
+    a halo one cell wide around the contact; extrapolating from the visible side removes it. Buried points with no such neighbour are never seen and stay.
+    """
+    if not buried.any():
+        return
+    edges = _grid_edges(mesh)
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    edges = edges[buried[edges[:, 0]] & ~buried[edges[:, 1]]]
+    targets, slot = np.unique(edges[:, 0], return_inverse=True)
+    count = np.bincount(slot)
+    for index in np.ndindex(values.shape[:-2]):
+        total = np.zeros((len(targets), values.shape[-1]))
+        np.add.at(total, slot, values[index][edges[:, 1]])
+        values[index][targets] = total / count[:, None]
+
+
+def _grid_edges(mesh: BakeMesh) -> np.ndarray:
+    """Pairs of rows (E, 2) that are neighbours in some face's grid, each pair once."""
+    pairs = [np.zeros((0, 2), np.int64)]
+    for k in np.unique(mesh.subdivision):
+        number = {(i, j): g for g, (i, j) in enumerate((i, j) for j in range(k + 1) for i in range(int(k) + 1 - j))}
+        local = np.array([(g, number[i + di, j + dj]) for (i, j), g in number.items() for di, dj in ((1, 0), (0, 1), (-1, 1)) if (i + di, j + dj) in number])
+        chosen = np.flatnonzero(mesh.subdivision == k)
+        pairs.append(mesh.rows[(mesh.first[chosen].astype(np.int64)[:, None, None] + local).reshape(-1, 2)])
+    return np.unique(np.sort(np.concatenate(pairs).astype(np.int64), axis=1), axis=0)
 
 
 def automatic_edge(bounds: np.ndarray) -> float:

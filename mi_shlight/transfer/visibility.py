@@ -7,7 +7,8 @@ in that direction.
 Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their visibility is taken from the
 nearest direction that does hit a light (for a light grown by a margin within which it may move). So the visibility is constant wherever a point sees all of its lights,
 or none: there the transfer is exact up to the band limit of the cosine, with no ringing from walls, from the ceiling behind a light or from
-distant silhouettes; only the silhouettes that cross the light itself remain.
+distant silhouettes; only the silhouettes that cross the light itself remain. The part of a light below the receiver's horizon is left to the clamped cosine: a point whose lights are
+all below its horizon gets a zero transfer.
 """
 from __future__ import annotations
 
@@ -25,8 +26,14 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 
 def occluder_scene(scene):
     """The scene without its emitting shapes, for visibility rays. None if nothing is left."""
-    shapes = {f"shape_{i}": s for i, s in enumerate(scene.shapes()) if not s.is_emitter()}
-    return mi.load_dict({"type": "scene", **shapes}, optimize=False) if shapes else None
+    shapes = [s for s in scene.shapes() if not s.is_emitter()]
+    if not shapes:
+        return None
+    names = [s.id() for s in shapes]
+    occluders = mi.load_dict({"type": "scene", **{f"shape_{i}": s for i, s in enumerate(shapes)}}, optimize=False)
+    for shape, name in zip(shapes, names):            # load_dict has renamed the shared shapes
+        shape.set_id(name)
+    return occluders
 
 
 def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, offset, active=True) -> tuple:
@@ -56,7 +63,7 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
     hemisphere, in [0, 1], in which two lights of the group stand behind each other with an occluder between, which one V cannot represent.
     """
     frame = mi.Frame3f(n)
-    origin = p + n * ((1 + dr.max(abs(p))) * mi.math.RayEpsilon)
+    origin = _lifted(p, n)
     count = (order + 1) ** 2
 
     def body(s, visible, conflict, weighted, plain, origin, offset):
@@ -65,10 +72,10 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
         radius = dr.sqrt(u)
         sin, cos = dr.sincos(angle)
         d = frame.to_world(mi.Vector3f(radius * cos, radius * sin, dr.sqrt(dr.maximum(1 - u, 0))))
-        target, distance, farther = lights.nearest(group, origin, d)
-        blocked, hidden = mi.Bool(False), mi.Bool(False)
+        target, distance, farther, any_above = lights.nearest(group, origin, n, d)
+        blocked, hidden = ~any_above, mi.Bool(False)
         if occluders is not None:
-            blocked = _blocked(occluders, origin, target, distance, active)
+            blocked |= _blocked(occluders, origin, target, distance, active & any_above)
             if lights.crowded:
                 behind = active & ~blocked & (farther > distance * (1 + 1e-3))
                 hidden = behind & _blocked(occluders, origin, target, farther, behind)
@@ -88,6 +95,24 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
     return [dr.select(visible > 0, c, 0) for c in coeffs], mean, conflict / samples
 
 
+def inside_a_body(occluders, p, n, samples: int = 32):
+    """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid body.
+
+    Only such points are certain never to be seen from outside; `p`, `n` as in :py:func:`shadowed_transfer`.
+    """
+    frame, origin = mi.Frame3f(n), _lifted(p, n)
+
+    def body(s, inside, origin):
+        u = (mi.Float(s) + 0.5) / samples
+        sin, cos = dr.sincos(2 * dr.pi * GOLDEN * mi.Float(s))
+        d = frame.to_world(mi.Vector3f(dr.sqrt(u) * cos, dr.sqrt(u) * sin, dr.sqrt(1 - u)))
+        si = occluders.ray_intersect(mi.Ray3f(origin, d), mi.RayFlags.Minimal, coherent=False, active=inside)
+        return s + 1, inside & si.is_valid() & (dr.dot(si.n, d) > 0), origin
+
+    state = (mi.UInt32(0), mi.Bool(True), origin)
+    return dr.while_loop(state, lambda s, inside, origin: inside & (s < samples), body, mode="symbolic")[1]
+
+
 class BakeLights:
     """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
 
@@ -102,12 +127,13 @@ class BakeLights:
         self.normal = mi.Float([float(v) for v in normals.ravel()])
         self.margin, self.crowded = margin, crowded
 
-    def nearest(self, group, x, d) -> tuple:
-        """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such distance).
+    def nearest(self, group, x, n, d) -> tuple:
+        """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such distance, found).
 
-        `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that does.
+        `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that does. Lights are clipped to the
+        horizon of the normal `n`; `found` is False where nothing of them is left.
         """
-        def light_body(k, best, best_q, reach, farthest, inside_any, x, d):
+        def light_body(k, best, best_q, reach, farthest, inside_any, x, n, d):
             normal = dr.gather(mi.Vector3f, self.normal, k)
             first, last = dr.gather(mi.UInt32, self.first_edge, k), dr.gather(mi.UInt32, self.first_edge, k + 1)
             height = dr.dot(normal, self._vertex(first, 0) - x)
@@ -118,22 +144,23 @@ class BakeLights:
             along = dr.cross(normal, across)
             hit = d * dr.select(dr.isfinite(plane), plane, 0)
 
-            def edge_body(e, inside, near, near_q, near_distance, x, d, hit):
+            def edge_body(e, inside, near, near_q, near_distance, x, n, d, hit):
                 v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
-                q, chord2 = _nearest_on_arc(v_i, v_j, d)
-                distance = _distance_on_edge(v_i, v_j, q)
                 # even-odd rule in the light's plane
                 y_i, y_j = dr.dot(v_i - hit, across), dr.dot(v_j - hit, across)
                 x_i, x_j = dr.dot(v_i - hit, along), dr.dot(v_j - hit, along)
                 crosses = (y_i > 0) != (y_j > 0)
                 right = x_i - y_i * (x_j - x_i) / dr.select(crosses, y_j - y_i, 1) > 0
                 inside = inside ^ (crosses & right)
-                closer = chord2 < near
+                above, v_i, v_j = _clip_to_horizon(v_i, v_j, n)
+                q, chord2 = _nearest_on_arc(v_i, v_j, d)
+                distance = _distance_on_edge(v_i, v_j, q)
+                closer = above & (chord2 < near)
                 return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q),
-                        dr.select(closer, distance, near_distance), x, d, hit)
+                        dr.select(closer, distance, near_distance), x, n, d, hit)
 
             _, inside, near, near_q, near_distance, *_ = dr.while_loop(
-                (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), x, d, hit),
+                (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), x, n, d, hit),
                 lambda e, *_: e < last, edge_body, mode="symbolic")
             inside &= dr.isfinite(plane)
             chord2 = dr.select(inside, 0, near)
@@ -141,20 +168,33 @@ class BakeLights:
             closer = (chord2 < best) | (inside & inside_any & (distance < reach))
             return (k + 1, dr.select(closer, chord2, best), dr.select(closer, dr.select(inside, d, near_q), best_q),
                     dr.select(closer, distance, reach), dr.select(inside, dr.maximum(farthest, distance), farthest),
-                    inside_any | inside, x, d)
+                    inside_any | inside, x, n, d)
 
         first, last = group
         _, chord2, q, distance, farthest, *_ = dr.while_loop(
-            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, mi.Vector3f(d)),
+            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, n, mi.Vector3f(d)),
             lambda k, *_: k < last, light_body, mode="symbolic")
         if self.margin > 0:
             angle = dr.minimum(dr.atan2(mi.Float(self.margin), distance), 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1)))
             sin, cos = dr.sincos(angle)
             q = mi.Vector3f(q * cos + direction(d - q * dr.dot(d, q)) * sin)
-        return q, distance, farthest
+        return q, distance, farthest, dr.isfinite(chord2)
 
     def _vertex(self, edge, end: int):
         return dr.gather(mi.Point3f, self.edges, 2 * edge + end)
+
+
+def _lifted(p, n):
+    """Start of rays from a surface point: off the surface along its normal."""
+    return p + n * ((1 + dr.max(abs(p))) * mi.math.RayEpsilon)
+
+
+def _clip_to_horizon(v_i, v_j, n) -> tuple:
+    """(anything left, start, end) of the segment `v_i` .. `v_j` above the plane with normal `n` through the origin."""
+    h_i, h_j = dr.dot(n, v_i), dr.dot(n, v_j)
+    span = dr.select(h_i != h_j, h_i - h_j, 1)
+    crossing = v_i + (v_j - v_i) * (h_i / span)
+    return (h_i > 0) | (h_j > 0), dr.select(h_i > 0, v_i, crossing), dr.select(h_j > 0, v_j, crossing)
 
 
 def _nearest_on_arc(v_i, v_j, d) -> tuple:

@@ -1,0 +1,464 @@
+"""Writes the example scenes of this folder: ``python scenes/generate.py [DIRECTORY]``.
+
+The same bytes come out on every run and machine: the only randomness is the seeded ``random.random()``, whose
+sequence Python guarantees, and coordinates are rounded to 1e-5 so that the last bit of a sine cannot show.
+Axes: y up, lengths in scene units. Faces are wound counter-clockwise seen from outside (lights: from the lit side).
+"""
+from __future__ import annotations
+
+import math
+import random
+import sys
+import textwrap
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+
+
+# ------------------------------------------------------------------------------------------------ meshes
+class Surface(NamedTuple):
+    """A triangle mesh: `vertices` (N, 3) and `faces` (M, 3), indices into `vertices`."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def merge(parts: list[Surface]) -> Surface:
+    """One mesh holding all `parts`; nothing is welded, so parts keep their own normals."""
+    offsets = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
+    return Surface(np.concatenate([p.vertices for p in parts]),
+                   np.concatenate([p.faces + o for p, o in zip(parts, offsets)]))
+
+
+def transform(surface: Surface, matrix, offset) -> Surface:
+    """`surface` with every vertex p moved to matrix @ p + offset (matrix without reflection)."""
+    return Surface(surface.vertices @ np.asarray(matrix, float).T + np.asarray(offset, float), surface.faces)
+
+
+def grid_faces(rows: int, columns: int, wrap_rows: bool = False, wrap_columns: bool = False) -> np.ndarray:
+    """Faces of a rows x columns vertex grid (index row * columns + column); a wrapped direction closes on itself.
+
+    The normal side is (column direction) x (row direction).
+    """
+    r, c = np.meshgrid(np.arange(rows if wrap_rows else rows - 1),
+                       np.arange(columns if wrap_columns else columns - 1), indexing="ij")
+    r, c = r.ravel(), c.ravel()
+    r1, c1 = (r + 1) % rows, (c + 1) % columns
+    a, b, d, e = r * columns + c, r * columns + c1, r1 * columns + c, r1 * columns + c1
+    return np.stack([a, b, e, a, e, d], axis=1).reshape(-1, 3)
+
+
+def rotation(axis: str, degrees: float) -> np.ndarray:
+    """3 x 3 matrix of the right-handed rotation about 'x', 'y' or 'z'."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[i, i], matrix[i, j], matrix[j, i], matrix[j, j] = c, -s, s, c
+    return matrix
+
+
+def normalize(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def lathe(profile: list[tuple[float, float]], segments: int) -> Surface:
+    """Surface of revolution about y of a smooth profile of (radius, height) pairs; normals point to its left side."""
+    radius, height = np.array(profile, float).T
+    angle = 2 * np.pi * np.arange(segments) / segments
+    vertices = np.stack([radius[:, None] * np.sin(angle), np.repeat(height[:, None], segments, axis=1),
+                         radius[:, None] * np.cos(angle)], axis=-1)
+    return Surface(vertices.reshape(-1, 3), grid_faces(len(profile), segments, wrap_columns=True))
+
+
+def disc(radius: float, dome: float, rings: int, segments: int) -> Surface:
+    """Round cap facing +y around a single centre vertex, raised by `dome` in the middle."""
+    rim = [(radius * k / rings, dome * (1 - (k / rings) ** 2)) for k in range(rings, 0, -1)]
+    ring = lathe(rim, segments)
+    centre, last = len(ring.vertices), (rings - 1) * segments
+    k = np.arange(segments)
+    fan = np.stack([last + k, last + (k + 1) % segments, np.full(segments, centre)], axis=1)
+    return Surface(np.concatenate([ring.vertices, [[0.0, dome, 0.0]]]), np.concatenate([ring.faces, fan]))
+
+
+def tube(path: np.ndarray, radius: np.ndarray, segments: int) -> Surface:
+    """Open round tube along the polyline `path` (N, 3), which must never run along x, with a radius per point."""
+    tangent = normalize(np.gradient(path, axis=0))
+    side = normalize(np.cross(tangent, [1.0, 0.0, 0.0]))
+    other = np.cross(side, tangent)
+    angle = 2 * np.pi * np.arange(segments)[:, None] / segments
+    ring = np.cos(angle) * side[:, None] - np.sin(angle) * other[:, None]
+    return Surface((path[:, None] + radius[:, None, None] * ring).reshape(-1, 3),
+                   grid_faces(len(path), segments, wrap_columns=True))
+
+
+def write_ply(path: Path, surface: Surface) -> None:
+    """Binary little-endian PLY without normals: the loader builds smooth ones; 16-bit indices halve the file."""
+    if len(surface.vertices) > 1 << 16:
+        raise ValueError(f"write_ply(): 'surface' must have at most 65536 vertices, got {len(surface.vertices)}.")
+    header = ("ply\nformat binary_little_endian 1.0\n"
+              f"element vertex {len(surface.vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+              f"element face {len(surface.faces)}\nproperty list uchar ushort vertex_indices\nend_header\n")
+    faces = np.zeros(len(surface.faces), dtype=[("count", "u1"), ("index", "<u2", 3)])
+    faces["count"], faces["index"] = 3, surface.faces
+    # Adding 0 turns -0 into 0
+    vertices = (np.round(surface.vertices, 5) + 0.0).astype("<f4")
+    path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+
+
+def flat_light(outline: list[tuple[float, float]], triangles: list[tuple[int, int, int]],
+               position, target) -> Surface:
+    """Planar polygon light, `outline` counter-clockwise in (right, up) as seen from `target`, facing `target`."""
+    normal = normalize(np.subtract(target, position).astype(float))
+    right = normalize(np.cross([0.0, 1.0, 0.0], normal))
+    up = np.cross(normal, right)
+    flat = np.array(outline, float)
+    return Surface(np.asarray(position, float) + flat[:, :1] * right + flat[:, 1:] * up, np.array(triangles))
+
+
+# ------------------------------------------------------------------------------------------------ plant
+STEM_BASE, STEM_TOP = 0.50, 1.42
+
+
+def stem_point(t) -> np.ndarray:
+    """Point of the gently curved stem; t from 0 (soil) to 1 (top)."""
+    t = np.asarray(t, float)
+    return np.stack([0.09 * np.sin(2.6 * t), STEM_BASE + (STEM_TOP - STEM_BASE) * t, 0.06 * np.sin(3.5 * t)], axis=-1)
+
+
+def pot() -> Surface:
+    """Flower pot: outer wall, rim and inner wall, each smooth and with a crease between."""
+    wall = [(0.24 + 0.12 * t + 0.015 * math.sin(math.pi * t), 0.44 * t) for t in np.linspace(0, 1, 14)]
+    band = [(0.40 + 0.008 * math.sin(math.pi * t), 0.44 + 0.12 * t) for t in np.linspace(0, 1, 5)]
+    inner = [(0.36 - 0.01 * t, 0.56 - 0.10 * t) for t in np.linspace(0, 1, 5)]
+    parts = [wall, [wall[-1], band[0]], band, [band[-1], inner[0]], inner]
+    return merge([lathe(part, 56) for part in parts])
+
+
+def leaf(base, azimuth: float, elevation: float, droop: float, length: float, width: float, roll: float) -> Surface:
+    """Pointed leaf of 21 x 11 vertices bending down along its midrib; angles in radians, upper side is the normal side."""
+    rows, half = 21, 5
+    t = np.linspace(0, 1, rows + 2)
+    angle = elevation - droop * t**1.3
+    step = length / (rows + 1)
+    along = np.stack([np.cos(angle) * math.sin(azimuth), np.sin(angle), np.cos(angle) * math.cos(azimuth)], axis=-1)
+    midrib = np.asarray(base) + step * np.concatenate([np.zeros((1, 3)), np.cumsum(along[:-1], axis=0)])
+    level = np.array([-math.cos(azimuth), 0.0, math.sin(azimuth)])
+    side = math.cos(roll) * level + math.sin(roll) * np.cross(level, along)
+    above = np.cross(side, along)
+    # Widest a little before the middle, pointed at both ends
+    shape = width * np.sin(np.pi * t[1:-1] ** 0.76) * (1 - 0.25 * t[1:-1])
+    s = np.arange(-half, half + 1) / half
+    cup = 0.45 * np.abs(s) ** 1.4 + 0.10 * s**2 * np.sin(14 * t[1:-1, None] + 2 * np.sign(s))
+    inside = (midrib[1:-1, None] + shape[:, None, None] * (s[:, None] * side[1:-1, None])
+              + (shape[:, None] * cup)[..., None] * above[1:-1, None])
+    columns, tip = 2 * half + 1, rows * (2 * half + 1)
+    k = np.arange(columns - 1)
+    last = tip - columns
+    ends = np.concatenate([np.stack([k + 1, k, np.full_like(k, tip)], axis=1),
+                           np.stack([last + k, last + k + 1, np.full_like(k, tip + 1)], axis=1)])
+    return Surface(np.concatenate([inside.reshape(-1, 3), midrib[[0, -1]]]),
+                   np.concatenate([grid_faces(rows, columns), ends]))
+
+
+def plant() -> tuple[Surface, Surface]:
+    """(stem with leaf stalks, leaves): 26 leaves up the stem, each turned by the golden angle."""
+    rng = random.Random(7)
+    t = np.linspace(0, 1, 30)
+    stalks = [tube(stem_point(t), 0.030 - 0.016 * t, 12)]
+    leaves = []
+    count = 26
+    for k in range(count):
+        up = k / (count - 1)
+        azimuth = k * GOLDEN_ANGLE + 0.5 * (rng.random() - 0.5)
+        elevation = math.radians(22 + 50 * up**1.5 + 14 * (rng.random() - 0.5))
+        root = stem_point(0.22 + 0.76 * up)
+        reach = 0.20 - 0.12 * up
+        outward = np.array([math.sin(azimuth), 0.0, math.cos(azimuth)])
+        s = np.linspace(0, 1, 8)[:, None]
+        stalk = root + s * reach * math.cos(elevation) * outward + [0.0, 1.0, 0.0] * (
+            s * reach * math.sin(elevation) + 0.02 * s * (1 - s))
+        stalks.append(tube(stalk, np.full(8, 0.011), 7))
+        leaves.append(leaf(stalk[-1], azimuth, elevation, droop=1.5 + 0.5 * rng.random() - 0.7 * up,
+                           length=(0.62 - 0.22 * up) * (0.9 + 0.2 * rng.random()), width=0.135 - 0.05 * up,
+                           roll=0.5 * (rng.random() - 0.5)))
+    return merge(stalks), merge(leaves)
+
+
+# ------------------------------------------------------------------------------------------------ sculpture
+def sculpture() -> Surface:
+    """Trefoil knot of a flattened bar that turns twice about its own axis on the way round."""
+    rows, columns = 320, 36
+    u = (2 * np.pi * np.arange(rows) / rows)[:, None]
+    circle = np.concatenate([np.cos(2 * u), np.sin(2 * u), 0 * u], axis=1)
+    centre = circle * (1 + 0.40 * np.cos(3 * u)) + 0.46 * np.sin(3 * u) * [0.0, 0.0, 1.0]
+    tangent = normalize(np.roll(centre, -1, axis=0) - np.roll(centre, 1, axis=0))
+    outward = centre - circle                    # away from the torus's core circle: a frame that closes on itself
+    across = normalize(np.cross(tangent, outward))
+    outward = np.cross(across, tangent)
+    v = 2 * np.pi * np.arange(columns) / columns
+    turn = 2 * u
+    a, b = 0.31 * np.cos(v), 0.12 * np.sin(v)
+    x, y = a * np.cos(turn) - b * np.sin(turn), a * np.sin(turn) + b * np.cos(turn)
+    vertices = centre[:, None] + x[..., None] * outward[:, None] + y[..., None] * across[:, None]
+    return Surface(vertices.reshape(-1, 3), grid_faces(rows, columns, wrap_rows=True, wrap_columns=True))
+
+
+PLINTH_HALF_WIDTH, PLINTH_TURN = 0.55, 24
+
+
+def cove() -> Surface:
+    """Seamless studio backdrop: floor, quarter-round and wall in one sheet, finest where the plinth stands.
+
+    Light baked at a vertex under the plinth is black and would bleed out through the triangles that the plinth's edge
+    cuts; so the floor has a hole there, whose rim is the first vertices inside, moved out to the plinth's foot.
+    """
+    foot = PLINTH_HALF_WIDTH + 0.001
+    radius, depth, back, height, half_width = 1.2, 3.2, -2.0, 4.2, 4.5
+    floor = [(z, 0.0) for z in [*np.linspace(depth, 0.9, 10, endpoint=False),
+                                *np.linspace(0.9, back + radius, 26, endpoint=False)]]
+    bend = [(back + radius * (1 - math.sin(a)), radius * (1 - math.cos(a))) for a in np.linspace(0, np.pi / 2, 13)]
+    wall = [(back, y) for y in np.linspace(radius, height, 14)[1:]]
+    z, y = np.array(floor + bend + wall).T
+    s = np.linspace(-1, 1, 61)
+    x = half_width * (0.4 * s + 0.6 * s**3)
+    vertices = np.stack(np.broadcast_arrays(x, y[:, None], z[:, None]), axis=-1).reshape(-1, 3)
+    turn = rotation("y", PLINTH_TURN)
+    local = vertices @ turn
+    reach = np.abs(local[:, [0, 2]]).max(axis=1)
+    inside = (vertices[:, 1] == 0) & (reach < foot)
+    axis = np.where(np.abs(local[:, 0]) > np.abs(local[:, 2]), 0, 2)[inside]
+    local[inside, axis] = np.copysign(foot, local[inside, axis])
+    faces = grid_faces(len(z), len(x))
+    used, faces = np.unique(faces[~inside[faces].all(axis=1)], return_inverse=True)
+    return Surface((local @ turn.T)[used], faces.reshape(-1, 3))
+
+
+# ------------------------------------------------------------------------------------------------ scene files
+def xml_defaults(spp: int, width: int, height: int) -> str:
+    values = {"spp": spp, "resx": width, "resy": height, "order": 8}
+    return "\n".join(f'    <default name="{name}" value="{value}"/>' for name, value in values.items())
+
+
+INTEGRATOR = """\
+    <integrator type="shprt">
+        <integer name="order" value="$order"/>
+    </integrator>"""
+
+
+def xml_sensor(origin, target, fov: float, extra: str = "") -> str:
+    origin, target = (", ".join(f"{c:g}" for c in point) for point in (origin, target))
+    return f"""\
+    <sensor type="perspective" id="sensor">
+        <string name="fov_axis" value="smaller"/>
+        <float name="fov" value="{fov:g}"/>{extra}
+        <transform name="to_world">
+            <lookat origin="{origin}" target="{target}" up="0, 1, 0"/>
+        </transform>
+        <sampler type="independent">
+            <integer name="sample_count" value="$spp"/>
+        </sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$resx"/>
+            <integer name="height" value="$resy"/>
+            <string name="pixel_format" value="rgb"/>
+            <string name="component_format" value="float32"/>
+            <rfilter type="gaussian"/>
+        </film>
+    </sensor>"""
+
+
+def xml_diffuse(name: str, reflectance, two_sided: bool = False) -> str:
+    inner = f'<rgb name="reflectance" value="{", ".join(map(str, reflectance))}"/>'
+    if two_sided:
+        return f"""\
+    <bsdf type="twosided" id="{name}">
+        <bsdf type="diffuse">
+            {inner}
+        </bsdf>
+    </bsdf>"""
+    return f"""\
+    <bsdf type="diffuse" id="{name}">
+        {inner}
+    </bsdf>"""
+
+
+def xml_checkerboard(name: str, dark, light, repeats: float) -> str:
+    dark, light = (", ".join(map(str, c)) for c in (dark, light))
+    return f"""\
+    <bsdf type="diffuse" id="{name}">
+        <texture name="reflectance" type="checkerboard">
+            <rgb name="color0" value="{dark}"/>
+            <rgb name="color1" value="{light}"/>
+            <transform name="to_uv">
+                <scale x="{repeats:g}" y="{repeats:g}"/>
+            </transform>
+        </texture>
+    </bsdf>"""
+
+
+def xml_radiance(radiance) -> str:
+    return f"""
+        <emitter type="shlight">
+            <rgb name="radiance" value="{", ".join(map(str, radiance))}"/>
+        </emitter>"""
+
+
+def xml_shape(name: str, kind: str, operations: tuple[str, ...], bsdf: str = "", radiance=None) -> str:
+    """A built-in shape; `operations` are the elements of its to_world transform, first applied first."""
+    steps = "\n".join(f"            {op}" for op in operations)
+    body = f"""
+        <transform name="to_world">
+{steps}
+        </transform>"""
+    if bsdf:
+        body += f'\n        <ref id="{bsdf}"/>'
+    if radiance is not None:
+        body += xml_radiance(radiance)
+    return f"""\
+    <shape type="{kind}" id="{name}">{body}
+    </shape>"""
+
+
+def xml_mesh(name: str, file: str, bsdf: str = "", radiance=None) -> str:
+    """A mesh file; a light is flat-shaded so that its normals are exactly those of its plane."""
+    body = f'\n        <string name="filename" value="meshes/{file}.ply"/>'
+    if bsdf:
+        body += f'\n        <ref id="{bsdf}"/>'
+    if radiance is not None:
+        body += '\n        <boolean name="face_normals" value="true"/>' + xml_radiance(radiance)
+    return f"""\
+    <shape type="ply" id="{name}">{body}
+    </shape>"""
+
+
+def xml_scene(comment: str, *parts: str) -> str:
+    note = textwrap.fill(comment, 110, initial_indent="    <!-- ", subsequent_indent="         ")
+    return f'<scene version="3.0.0">\n{note} -->\n' + "\n\n".join(parts) + "\n</scene>\n"
+
+
+def cornell_box() -> str:
+    return xml_scene(
+        "Purpose: Mitsuba's own Cornell box (mi.cornell_box()), its ceiling light a shlight. Picture: red wall left, "
+        "green wall right, two white boxes with soft shadows away from the light above them; the ceiling is black "
+        "because the lighting is direct.",
+        xml_defaults(64, 256, 256), INTEGRATOR,
+        xml_sensor((0, 0, 3.9), (0, 0, 0), 39.3077, extra="""
+        <float name="near_clip" value="0.001"/>
+        <float name="far_clip" value="100"/>
+        <float name="focus_distance" value="1000"/>"""),
+        xml_diffuse("white", (0.885809, 0.698859, 0.666422)),
+        xml_diffuse("green", (0.105421, 0.37798, 0.076425)),
+        xml_diffuse("red", (0.570068, 0.0430135, 0.0443706)),
+        xml_shape("light", "rectangle", ('<scale x="0.23" y="0.19" z="0.19"/>', '<rotate x="1" angle="90"/>',
+                                         '<translate y="0.99" z="0.01"/>'), "white", (18.387, 13.9873, 6.75357)),
+        xml_shape("floor", "rectangle", ('<rotate x="1" angle="-90"/>', '<translate y="-1"/>'), "white"),
+        xml_shape("ceiling", "rectangle", ('<rotate x="1" angle="90"/>', '<translate y="1"/>'), "white"),
+        xml_shape("back", "rectangle", ('<translate z="-1"/>',), "white"),
+        xml_shape("green-wall", "rectangle", ('<rotate y="1" angle="-90"/>', '<translate x="1"/>'), "green"),
+        xml_shape("red-wall", "rectangle", ('<rotate y="1" angle="90"/>', '<translate x="-1"/>'), "red"),
+        xml_shape("small-box", "cube", ('<scale value="0.3"/>', '<rotate y="1" angle="-17"/>',
+                                        '<translate x="0.335" y="-0.7" z="0.38"/>'), "white"),
+        xml_shape("large-box", "cube", ('<scale x="0.3" y="0.61" z="0.3"/>', '<rotate y="1" angle="18.25"/>',
+                                        '<translate x="-0.33" y="-0.4" z="-0.28"/>'), "white"))
+
+
+def floor_scene() -> str:
+    return xml_scene(
+        "Purpose: accuracy without visibility: one rectangle light over an unoccluded diffuse floor that fills the "
+        "view. Picture: a smooth grey glow, brightest in the middle, no edge and no background.",
+        xml_defaults(64, 128, 128), INTEGRATOR,
+        xml_sensor((0, 5, 3), (0, 0, 0), 26),
+        xml_diffuse("grey", (0.6, 0.6, 0.6)),
+        xml_shape("floor", "rectangle", ('<scale value="4"/>', '<rotate x="1" angle="-90"/>'), "grey"),
+        xml_shape("light", "rectangle", ('<scale x="0.7" y="0.5"/>', '<rotate x="1" angle="90"/>',
+                                         '<translate x="0.3" y="2.5" z="-0.2"/>'), radiance=(9.0, 8.5, 8.0)))
+
+
+def plant_scene() -> str:
+    return xml_scene(
+        "Purpose: many thin two-sided leaves, lit by a near triangle (warm, from the left) and a farther rectangle "
+        "(cool, from the right). Picture: a potted plant on a chequered floor before a wall, with a soft shadow of "
+        "each light on floor and wall; both lights are out of view.",
+        xml_defaults(64, 256, 256), INTEGRATOR,
+        xml_sensor((0.1, 1.6, 4.6), (0, 0.9, -0.3), 25),
+        xml_checkerboard("tiles", (0.30, 0.27, 0.25), (0.62, 0.60, 0.56), 8),
+        xml_diffuse("plaster", (0.66, 0.65, 0.62)),
+        xml_diffuse("terracotta", (0.60, 0.29, 0.18), two_sided=True),
+        xml_diffuse("earth", (0.16, 0.11, 0.08)),
+        xml_diffuse("bark", (0.34, 0.36, 0.16)),
+        xml_diffuse("foliage", (0.20, 0.50, 0.13), two_sided=True),
+        xml_shape("floor", "rectangle", ('<scale value="2.6"/>', '<rotate x="1" angle="-90"/>',
+                                         '<translate z="1.7"/>'), "tiles"),
+        xml_shape("wall", "rectangle", ('<scale x="2.6" y="1.6"/>', '<translate y="1.6" z="-0.9"/>'), "plaster"),
+        xml_mesh("pot", "plant_pot", "terracotta"),
+        xml_mesh("soil", "plant_soil", "earth"),
+        xml_mesh("stem", "plant_stem", "bark"),
+        xml_mesh("leaves", "plant_leaves", "foliage"),
+        xml_mesh("light-triangle", "plant_light_triangle", radiance=(58.0, 45.0, 31.0)),
+        xml_shape("light-rectangle", "rectangle", ('<scale x="0.8" y="0.6"/>', '<lookat origin="3.4, 2.7, 2.6" '
+                                                   'target="0, 0.7, 0" up="0, 1, 0"/>'), radiance=(9.0, 11.0, 15.0)))
+
+
+def sculpture_scene() -> str:
+    return xml_scene(
+        "Purpose: a smooth closed body under three polygon shapes: a rectangle (white, far left), a triangle (warm, "
+        "near right) and a concave arrow (blue, from above and behind). Picture: a knotted sculpture on a plinth in a "
+        "studio cove, with three overlapping soft shadows; all lights are out of view.",
+        xml_defaults(64, 256, 256), INTEGRATOR,
+        xml_sensor((0, 2.3, 6.6), (0, 1.35, 0), 31),
+        xml_diffuse("paper", (0.70, 0.70, 0.70)),
+        xml_checkerboard("inlay", (0.30, 0.29, 0.30), (0.5, 0.49, 0.48), 3),
+        xml_diffuse("plaster", (0.80, 0.76, 0.70)),
+        xml_mesh("cove", "sculpture_cove", "paper"),
+        xml_shape("plinth", "cube", (f'<scale x="{PLINTH_HALF_WIDTH}" y="0.3" z="{PLINTH_HALF_WIDTH}"/>',
+                                     f'<rotate y="1" angle="{PLINTH_TURN}"/>', '<translate y="0.3"/>'), "inlay"),
+        xml_mesh("knot", "sculpture_knot", "plaster"),
+        xml_shape("light-rectangle", "rectangle", ('<scale x="0.9" y="0.9"/>', '<lookat origin="-3.4, 4.4, 3.6" '
+                                                   'target="0, 1.4, 0" up="0, 1, 0"/>'), radiance=(30.0, 29.0, 27.0)),
+        xml_mesh("light-triangle", "sculpture_light_triangle", radiance=(20.0, 13.0, 7.0)),
+        xml_mesh("light-arrow", "sculpture_light_arrow", radiance=(16.0, 23.0, 37.0)))
+
+
+# ------------------------------------------------------------------------------------------------ everything
+ARROW = ([(0.0, -0.7), (0.6, 0.05), (0.25, 0.05), (0.25, 0.7), (-0.25, 0.7), (-0.25, 0.05), (-0.6, 0.05)],
+         [(0, 1, 2), (0, 2, 5), (0, 5, 6), (2, 3, 4), (2, 4, 5)])
+
+
+def generate(directory: Path = HERE) -> list[Path]:
+    """Write all scenes and meshes under `directory` and return the paths written."""
+    stem, leaves = plant()
+    knot = transform(sculpture(), 0.62 * rotation("y", 20) @ rotation("z", 30), (0, 0, 0))
+    meshes = {
+        "plant_pot": pot(),
+        "plant_soil": transform(disc(0.36, 0.02, 5, 56), np.eye(3), (0, 0.485, 0)),
+        "plant_stem": stem,
+        "plant_leaves": leaves,
+        "plant_light_triangle": flat_light([(-0.45, -0.3), (0.45, -0.3), (0.0, 0.5)], [(0, 1, 2)],
+                                           (-1.7, 2.1, 1.7), (0, 0.9, 0)),
+        # Sunk by 0.01 into the plinth, whose top is at 0.6
+        "sculpture_knot": transform(knot, np.eye(3), (0, 0.59 - knot.vertices[:, 1].min(), 0)),
+        "sculpture_cove": cove(),
+        "sculpture_light_triangle": flat_light([(-0.6, -0.4), (0.6, -0.4), (0.1, 0.6)], [(0, 1, 2)],
+                                               (2.2, 1.9, 1.5), (0, 1.3, 0)),
+        "sculpture_light_arrow": flat_light(*ARROW, (-1.7, 4.7, -0.6), (0.3, 2.1, 1.8)),
+    }
+    scenes = {"cornell_box": cornell_box(), "floor": floor_scene(), "plant": plant_scene(),
+              "sculpture": sculpture_scene()}
+    (directory / "meshes").mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, surface in meshes.items():
+        written.append(directory / "meshes" / f"{name}.ply")
+        write_ply(written[-1], surface)
+    for name, text in scenes.items():
+        written.append(directory / f"{name}.xml")
+        written[-1].write_bytes(text.encode())
+    return written
+
+
+if __name__ == "__main__":
+    for path in generate(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE):
+        print(f"{path.stat().st_size:8d} bytes  {path}")
