@@ -27,7 +27,7 @@ def message(function: str, argument: str, rule: str, value, hint: str = "") -> s
 
 
 def _show(value) -> str:
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return text if len(text) <= 120 else text[:117] + "..."
 
 
@@ -61,10 +61,10 @@ def check_choice(function: str, argument: str, value, choices, hint: str = "") -
     return value
 
 
-def check_parameters(plugin: str, props, known) -> None:
-    """Raise ValueError if a Mitsuba plugin was given a parameter that is not in `known`."""
-    for name in props.keys():
+def check_parameters(plugin: str, props, known, given=None) -> None:
+    """Raise ValueError if a Mitsuba plugin was given a parameter that is not in `known`; `given`: names to look at, default all."""
+    for name in props.keys() if given is None else given:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"Did you mean '{near[0]}'?" if near else "Its parameters are " + ", ".join(f"'{k}'" for k in known) + "."
-            raise ValueError(message(plugin, name, f"be a parameter of '{plugin}'", props[name], hint))
+            raise ValueError(message(plugin, name, f"be a parameter of '{plugin}'", props.as_string(name), hint))

@@ -28,8 +28,8 @@ class PolygonLight:
     emitter: object
     start: np.ndarray
     end: np.ndarray
-    """Vertex indices of each boundary edge. Seen from the emitting side the polygon lies to the right of its edges, which makes the
-    solid angle positive for the points it lights."""
+    """Vertex indices of each boundary edge. Seen from the emitting side the polygon lies to the right of its edges, which makes
+    the solid angle positive for the points it lights."""
     vertices: np.ndarray = field(repr=False)
     """All vertex positions of the mesh, (V, 3) float64, world space."""
     normal: np.ndarray = field(repr=False)
@@ -72,7 +72,8 @@ def shape_name(shape) -> str:
 def fingerprint(scene) -> list:
     """Identity of all geometry in the scene, cheap to compare: [(shape, detached vertex buffer or None)].
 
-    A Dr.Jit variable index names one immutable content as long as somebody holds the variable, so equal indices mean that nothing moved.
+    A Dr.Jit variable index names one immutable content as long as somebody holds the variable, so equal indices mean that
+    nothing moved.
     """
     held = []
     for shape in scene.shapes():
@@ -92,11 +93,25 @@ def shape_index(shape) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def polygon_lights(scene, strict: bool = False) -> list:
+def warn(text: str) -> None:
+    """Report a part of the scene that is left out: the default for `complain` below."""
+    warnings.warn(f"shprt: {text}", UnsupportedSceneWarning, stacklevel=4)
+
+
+def refuse(text: str) -> None:
+    """A `complain` that makes it an error."""
+    raise ValueError(f"shprt: {text} (an error because 'strict' is true)")
+
+
+def keep_quiet(text: str) -> None:
+    """A `complain` for callers whose user has been told already."""
+
+
+def polygon_lights(scene, complain=warn) -> list:
     """Polygonal area lights of a scene, in the scene's order.
 
-    Accepts ``shlight`` and ``area`` emitters on planar meshes (rectangles included). Other emitters are left out with an
-    `UnsupportedSceneWarning` (an error if `strict`).
+    Accepts ``shlight`` and ``area`` emitters on planar meshes (rectangles included). Other emitters are left out; `complain` is
+    called with a sentence about each.
 
     Raises
     ------
@@ -108,15 +123,15 @@ def polygon_lights(scene, strict: bool = False) -> list:
         if shape.is_emitter():
             kind = shape.class_name()
             if not shape.is_mesh():
-                _left_out(strict, f"emitter on shape '{shape_name(shape)}' ({kind}): only planar meshes and rectangles can be projected. "
+                complain(f"emitter on shape '{shape_name(shape)}' ({kind}): only planar meshes and rectangles can be projected. "
                                   "Replace it by a polygon of the same area, or render it with Mitsuba's 'path'.")
                 continue
             lights.append(_polygon_light(shape))
             if lights[-1].textured:
-                _left_out(strict, f"texture of emitter '{shape_name(shape)}': the light is taken as uniform with the texture's mean radiance.")
+                complain(f"texture of emitter '{shape_name(shape)}': the light is taken as uniform with the texture's mean radiance.")
     for emitter in scene.emitters():
         if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-            _left_out(strict, f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. "
+            complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. "
                               "Its light is missing in the picture; remove it, or render with Mitsuba's 'path'.")
     if not lights:
         raise ValueError("shprt: 'scene' must have at least one polygonal area light, got none. Put <emitter type=\"shlight\"> or "
@@ -124,19 +139,25 @@ def polygon_lights(scene, strict: bool = False) -> list:
     return lights
 
 
-def receivers(scene, strict: bool = False) -> list:
-    """All shapes of the scene that can be lit, with the BSDF limits named by warnings (errors if `strict`)."""
+def receivers(scene, complain=warn) -> list:
+    """All shapes of the scene that can be lit; `complain` is called with a sentence about each BSDF that is not plainly
+    diffuse.
+    """
     found, seen = [], set()
     for shape in scene.shapes():
         bsdf = shape.bsdf()
-        if shape.is_emitter() and bsdf is None:
-            continue
         two_sided, black, complaint = _diffuse_support(bsdf)
         if complaint and (complaint, bsdf.id()) not in seen:
             seen.add((complaint, bsdf.id()))
-            _left_out(strict, f"BSDF '{bsdf.id()}' of shape '{shape_name(shape)}' ({bsdf.class_name()}): {complaint}")
+            complain(f"BSDF '{bsdf.id()}' of shape '{shape_name(shape)}' ({bsdf.class_name()}): {complaint}")
         found.append(Receiver(shape_name(shape), shape, two_sided, black))
     return found
+
+
+def occluder_hash(scene) -> str:
+    """Hash over all shapes that can block light, independent of their order."""
+    parts = sorted(content_hash(s, False) for s in scene.shapes() if not s.is_emitter())
+    return hashlib.sha256("".join(parts).encode()).hexdigest()
 
 
 def content_hash(shape, two_sided: bool) -> str:
@@ -178,11 +199,12 @@ def _polygon_light(shape) -> PolygonLight:
     length = np.linalg.norm(normal)
     extent = np.ptp(positions, axis=0).max() if len(positions) else 0.0
     start, end = boundary_edges(faces, positions) if len(faces) else (np.zeros(0, int),) * 2
-    offset = np.abs((corners.reshape(-1, 3) - corners.reshape(-1, 3).mean(axis=0)) @ (normal / length)).max() if length > 0 else np.inf
+    points = corners.reshape(-1, 3)
+    offset = np.abs((points - points.mean(axis=0)) @ (normal / length)).max() if length > 0 else np.inf
     if not np.isfinite(positions).all() or extent == 0 or offset > PLANARITY * extent or len(start) < 3:
         worst = "no area" if not np.isfinite(offset) else f"vertices up to {offset / extent:.3g} of the light's extent off its plane"
-        raise ValueError(f"shprt: light '{name}' must be a planar polygon (vertices within {PLANARITY:g} of its extent of one plane), got {worst}. "
-                         "Split it into planar lights, one shape each, or flatten it.")
+        raise ValueError(f"shprt: light '{name}' must be a planar polygon (vertices within {PLANARITY:g} of its extent of one "
+                         f"plane), got {worst}. Split it into planar lights, one shape each, or flatten it.")
     emitter = shape.emitter()
     textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
     return PolygonLight(name, shape, emitter, end, start, positions, normal / length, textured)
@@ -191,9 +213,8 @@ def _polygon_light(shape) -> PolygonLight:
 def _diffuse_support(bsdf) -> tuple:
     """(two-sided, black, complaint): how much of a BSDF the diffuse SH renderer reproduces."""
     kind, flags = bsdf.class_name(), bsdf.flags()
-    sides = {mi.has_flag(bsdf.flags(i), mi.BSDFFlags.FrontSide) for i in range(bsdf.component_count())}
-    two_sided = any(mi.has_flag(bsdf.flags(i), mi.BSDFFlags.BackSide) and mi.has_flag(bsdf.flags(i), mi.BSDFFlags.DiffuseReflection)
-                    for i in range(bsdf.component_count())) and bool(sides)
+    lobes = [bsdf.flags(i) for i in range(bsdf.component_count())]
+    two_sided = any(mi.has_flag(lobe, mi.BSDFFlags.BackSide) and mi.has_flag(lobe, mi.BSDFFlags.DiffuseReflection) for lobe in lobes)
     diffuse = mi.has_flag(flags, mi.BSDFFlags.DiffuseReflection)
     smooth = mi.has_flag(flags, mi.BSDFFlags.Glossy) or mi.has_flag(flags, mi.BSDFFlags.Delta)
     if not diffuse:
@@ -201,14 +222,9 @@ def _diffuse_support(bsdf) -> tuple:
     if smooth:
         return two_sided, False, "only its diffuse reflection is rendered, the specular part is left out."
     if kind not in ("SmoothDiffuse", "TwoSidedBRDF"):
-        return two_sided, False, "rendered as a plain diffuse surface with its diffuse reflectance; perturbed normals and opacity are left out."
+        return two_sided, False, ("rendered as a plain diffuse surface with its diffuse reflectance; perturbed normals and opacity "
+                                  "are left out.")
     return two_sided, False, None
-
-
-def _left_out(strict: bool, text: str) -> None:
-    if strict:
-        raise ValueError(f"shprt: {text} (an error because 'strict' is true)")
-    warnings.warn(f"shprt: {text}", UnsupportedSceneWarning, stacklevel=3)
 
 
 class LightTable:

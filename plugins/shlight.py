@@ -51,10 +51,9 @@ and the first render that asks it for light stops with an error, where ``area`` 
 """
 from __future__ import annotations
 
-import difflib
 import textwrap
 
-from ..errors import message
+from ..errors import check_parameters, message
 
 
 class DetachedLightError(RuntimeError):
@@ -94,11 +93,6 @@ def check_attached(scene) -> None:
             raise detached_light(light)
 
 
-def one_line(value):
-    """`value` itself if it prints on one line, otherwise its text without line breaks."""
-    return value if "\n" not in repr(value) else " ".join(str(value).split())
-
-
 def build():
     """Class of the emitter for Mitsuba's current variant, whose types it is bound to."""
     import drjit as dr
@@ -120,11 +114,11 @@ def build():
         def __init__(self, props):
             if "to_world" in props:
                 raise ValueError(message(
-                    "shlight", "to_world", "not be given", one_line(props["to_world"]),
+                    "shlight", "to_world", "not be given", props["to_world"],
                     "The light takes the place and size of its shape: move 'to_world' to the shape."))
             super().__init__(props)
             self.radiance = self._read_radiance(props)
-            self._refuse_unknown(props)
+            check_parameters("shlight", props, ("radiance", "sampling_weight"), props.unqueried())
             # Not yet `Surface`: a scene silently drops a surface emitter that no shape brings in. See `surface`.
             self.m_flags = int(mi.EmitterFlags.SpatiallyVarying if self.radiance.is_spatially_varying()
                                else mi.EmitterFlags.Empty)
@@ -138,18 +132,9 @@ def build():
                          else kind in (kinds.Float, kinds.Integer, kinds.Color, kinds.Spectrum))
                 if not valid:
                     raise TypeError(message(
-                        "shlight", "radiance", "be a spectrum, a texture or a number, in W/(m^2 sr)", one_line(props["radiance"]),
+                        "shlight", "radiance", "be a spectrum, a texture or a number, in W/(m^2 sr)", props["radiance"],
                         'For instance <rgb name="radiance" value="1, 1, 1"/>.'))
             return props.get_emissive_texture("radiance", 1.0)
-
-        @staticmethod
-        def _refuse_unknown(props):
-            known = ("radiance", "sampling_weight")
-            for name in props.unqueried():
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f"Perhaps '{near[0]}' was meant." if near else "Remove it."
-                raise ValueError(message("shlight", name, "be one of the parameters 'radiance' and 'sampling_weight'",
-                                         one_line(props.as_string(name)), hint))
 
         def surface(self):
             """The shape that emits; DetachedLightError if there is none."""

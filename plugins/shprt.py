@@ -20,8 +20,9 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - transfer_domain
    - |string|
-   - Where shadowed transfer is computed. ``vertex``: baked once at the vertices of (refined) meshes and interpolated; shapes that are not meshes fall
-     back to ``pixel``. ``pixel``: rays are traced at every camera hit, nothing is baked. (Default: ``vertex``)
+   - Where shadowed transfer is computed. ``vertex``: baked once at the vertices of (refined) meshes and interpolated; shapes
+     that are not meshes fall back to ``pixel``. ``pixel``: rays are traced at every camera hit, nothing is baked. (Default:
+     ``vertex``)
 
  * - transfer_samples
    - |int|
@@ -29,12 +30,14 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - transfer_file
    - |string|
-   - File with a bake of this scene, written by ``mi-shlight bake`` or :py:meth:`mi_shlight.Transfer.save`, relative to the scene's folder. Empty: bake at the first
-     render and keep the result as long as the geometry stays. A file holds its own order, which must not be lower than ``order``. (Default: empty)
+   - File with a bake of this scene, written by ``mi-shlight bake`` or :py:meth:`mi_shlight.Transfer.save`, relative to the
+     scene's folder. Empty: bake at the first render and keep the result as long as the geometry stays. A file holds its own
+     order, which must not be lower than ``order``. (Default: empty)
 
  * - max_edge
    - |float|
-   - Longest edge of a baked triangle in scene units; longer ones are refined for baking only. 0: 1/64 of the diagonal of the receivers' bounding box. (Default: 0)
+   - Longest edge of a baked triangle in scene units; longer ones are refined for baking only. 0: 1/64 of the diagonal of the
+     receivers' bounding box. (Default: 0)
 
  * - light_margin
    - |float|
@@ -46,17 +49,19 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - coefficients
    - |bool|
-   - Output the SH coefficients of the light at the visible points as AOVs ``L.l.m``, in steradians times the luminance of the radiance. (Default: false)
+   - Output the SH coefficients of the light at the visible points as AOVs ``L.l.m``, in steradians times the luminance of the
+     radiance. (Default: false)
 
-Direct illumination of diffuse surfaces by uniform polygonal area lights: each light is projected to spherical harmonics in closed form at every shading point
-and multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x) \sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and Ramamoorthi 2018, equation 4). The picture is free of
-noise apart from pixel sampling; its error is the band limit of the transfer and, for ``vertex``, its interpolation.
+Direct illumination of diffuse surfaces by uniform polygonal area lights: each light is projected to spherical harmonics in
+closed form at every shading point and multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x)
+\sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and Ramamoorthi 2018, equation 4). The picture is free of noise apart from pixel sampling;
+its error is the band limit of the transfer and, for ``vertex``, its interpolation.
 
-Lights are all emitters ``shlight`` and ``area`` on rectangles and planar meshes (holes and concave outlines included). They are one-sided, do not cast shadows, and are seen
-directly with their radiance. A texture on a light is replaced by its mean.
+Lights are all emitters ``shlight`` and ``area`` on rectangles and planar meshes (holes and concave outlines included). They are
+one-sided, do not cast shadows, and are seen directly with their radiance. A texture on a light is replaced by its mean.
 
-Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed normals, opacity. Interreflection is not
-computed: compare with ``path`` at ``max_depth`` 2.
+Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
+normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
 
 Differentiable through ``mi.render`` with respect to radiance and reflectance; transfer is held fixed.
 
@@ -88,18 +93,18 @@ import numpy as np
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
 from ..light.polygon import EdgeBuffer
 from ..light.project import METHODS, edge_shader, project_edges
-from ..scene import LightTable, fingerprint, polygon_lights, receivers, same_fingerprint, shape_index
+from ..scene import LightTable, fingerprint, polygon_lights, receivers, refuse, same_fingerprint, shape_index, warn
 from ..sh.basis import check_order
-from ..transfer.bake import MAX_GROUPS, bake_transfer
+from ..transfer.bake import trace_transfer
 from ..transfer.cosine import cosine_transfer
 from ..transfer.store import load_transfer
-from ..transfer.visibility import BakeLights, occluder_scene, shadowed_transfer
+from ..transfer.visibility import BakeLights, light_groups, occluder_scene, shadowed_transfer
 from .shlight import check_attached
 
 DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
 
-DEFAULTS = {"order": 8, "method": "auto", "transfer": "shadowed", "transfer_domain": "vertex", "transfer_samples": 0, "transfer_file": "",
-            "max_edge": 0.0, "light_margin": 0.0, "strict": False, "coefficients": False}
+DEFAULTS = {"order": 8, "method": "auto", "transfer": "shadowed", "transfer_domain": "vertex", "transfer_samples": 0,
+            "transfer_file": "", "max_edge": 0.0, "light_margin": 0.0, "strict": False, "coefficients": False}
 
 
 def read_parameters(props) -> dict:
@@ -121,7 +126,8 @@ def read_parameters(props) -> dict:
         raise TypeError(message("shprt", "transfer_file", "be the path of a baked file", value["transfer_file"]))
     if value["transfer_file"]:
         if value["transfer"] != "shadowed" or value["transfer_domain"] != "vertex":
-            raise ValueError(message("shprt", "transfer_file", "go with transfer='shadowed' and transfer_domain='vertex'", value["transfer_file"]))
+            raise ValueError(message("shprt", "transfer_file", "go with transfer='shadowed' and transfer_domain='vertex'",
+                                     value["transfer_file"], "Leave it out, or change those."))
         path = str(mi.file_resolver().resolve(value["transfer_file"]))
         if not os.path.isfile(path):
             raise FileNotFoundError(message("shprt", "transfer_file", "name an existing file", value["transfer_file"],
@@ -135,24 +141,20 @@ class SceneState:
 
     def __init__(self, scene, strict: bool, held: list):
         self.held = held
-        self.lights = polygon_lights(scene, strict)
-        lit = receivers(scene, strict)
-        size = 1 + max((shape_index(r.shape) for r in lit), default=0)
+        complain = refuse if strict else warn
+        self.lights = polygon_lights(scene, complain)
+        self.receivers = receivers(scene, complain)
+        size = 1 + max((shape_index(r.shape) for r in self.receivers), default=0)
         table = np.zeros((2, size), int)
-        for r in lit:
+        for r in self.receivers:
             table[:, shape_index(r.shape)] = r.two_sided, r.black
         self.size = size
         self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
-        self.all_meshes = all(r.shape.is_mesh() for r in lit)
-        self.outlines = [light.outline for light in self.lights]
+        self.all_meshes = all(r.shape.is_mesh() for r in self.receivers)
+        self.groups = light_groups(len(self.lights))
         self.occluders = occluder_scene(scene)
-        grouped = len(self.lights) <= MAX_GROUPS
-        self.groups = list(range(len(self.lights) + 1)) if grouped else [0, len(self.lights)]
+        self.bake_lights = BakeLights(self.lights, 0.0)
         self.lookup = None
-
-    def bake_lights(self, margin: float) -> BakeLights:
-        normals = np.array([light.normal for light in self.lights])
-        return BakeLights(self.outlines, normals, margin, len(self.groups) != len(self.lights) + 1)
 
     def flag(self, table, shape, active):
         """Entry of a per-shape table at a hit, as a mask."""
@@ -181,8 +183,8 @@ def build():
                 setattr(self, name, value)
             self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
             if self._transfer is not None and self._transfer.order < self.order:
-                raise ValueError(message("shprt", "order", f"be at most {self._transfer.order}, the order of '{self.transfer_file}'", self.order,
-                                         "Bake the file at a higher order, or lower 'order'."))
+                rule = f"be at most {self._transfer.order}, the order of '{self.transfer_file}'"
+                raise ValueError(message("shprt", "order", rule, self.order, "Bake the file at a higher order, or lower 'order'."))
             self._state = None
 
         def parameters(self) -> dict:
@@ -220,19 +222,17 @@ def build():
             if baked is not None and self.transfer_file:
                 baked.check(scene)
             if baked is not None and (self.transfer_file or baked.fits(scene)):
-                distance = moved(baked.outlines, self._state.outlines)
+                distance = moved(baked.outlines, [light.outline for light in self._state.lights])
                 if distance <= baked.light_margin:
                     return baked
-                text = (f"shprt: a light has moved by {distance:.4g} since the transfer was baked, more than light_margin = {baked.light_margin:g}. "
-                        "Raise light_margin to keep a bake while lights move")
+                text = (f"shprt: a light has moved by {distance:.4g} since the transfer was baked, more than light_margin = "
+                        f"{baked.light_margin:g}. Raise light_margin to keep a bake while lights move")
                 if self.strict:
                     raise ValueError(f"{text} (an error because 'strict' is true).")
                 warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
-            return bake_transfer(scene, self.order, self.transfer, self._samples(), max_edge=self.max_edge, light_margin=self.light_margin,
-                                 progress=progress)
-
-        def _samples(self) -> int:
-            return self.transfer_samples or DEFAULT_SAMPLES[self.transfer_domain]
+            samples = self.transfer_samples or DEFAULT_SAMPLES["vertex"]
+            return trace_transfer(scene, self._state.lights, self._state.receivers, self.order, samples, self.max_edge,
+                                  self.light_margin, progress)
 
         def sample(self, mode, scene, sampler, ray, active=True, **kwargs):
             self.prepare_scene(scene)
@@ -261,19 +261,20 @@ def build():
             if self.transfer == "unshadowed":
                 coeffs = cosine_transfer(n, self.order)
                 return lambda g, first, last: coeffs
-            lookup, traced, p = None, lit, dr.detach(si.p)
+            state, lookup, traced, p = self._state, None, lit, dr.detach(si.p)
             if self.transfer_domain == "vertex":
-                lookup = self._state.lookup
+                lookup = state.lookup
                 rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
                 traced = lit & ~baked
-            if lookup is None or not self._state.all_meshes:
-                bake_lights, shift = self._state.bake_lights(0.0), sampler.next_2d(lit)
+            if lookup is None or not state.all_meshes:
+                shift = sampler.next_2d(lit)
                 samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
             def transfer_of(g, first, last):
                 coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
-                if lookup is None or not self._state.all_meshes:
-                    by_rays = shadowed_transfer(self._state.occluders, bake_lights, (first, last), p, n, self.order, samples, shift, traced)[0]
+                if lookup is None or not state.all_meshes:
+                    by_rays = shadowed_transfer(state.occluders, state.bake_lights, (first, last), p, n, self.order, samples,
+                                                shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
                 return coeffs
 
@@ -295,7 +296,9 @@ def build():
                     edges = EdgeBuffer(table.positions, table.start, table.end, begin, end)
                     return k + 1, total + table.radiance(k, wavelengths) * shade(edges, x, table.apex(k, x)), x
 
-                return (g + 1, *dr.while_loop((first, total, x), lambda k, *_: k < last, light_body, mode="symbolic", max_iterations=-1)[1:])
+                _, total, x = dr.while_loop((first, total, x), lambda k, *_: k < last, light_body, mode="symbolic",
+                                            max_iterations=-1)
+                return g + 1, total, x
 
             start = (mi.UInt32(0), table.radiance(mi.UInt32(0), wavelengths) * 0, mi.Point3f(si.p))
             return dr.while_loop(start, lambda g, *_: g < group_count, group_body, mode="symbolic", max_iterations=-1)[1]

@@ -37,8 +37,9 @@ def direction(v):
 def edge_frame(v_i, v_j) -> EdgeFrame:
     """Frame of the edge from `v_i` to `v_j` (vertices relative to the shading point).
 
-    The cross product is taken of the unnormalised vectors with compensated products, so that the normal of a short or distant edge
-    keeps full relative accuracy; the arc is ``atan2(|cross|, dot)``, where [W18] eq. 20 has an acos that loses half of the digits.
+    The cross product is taken of the unnormalised vectors with compensated products, so that the normal of a short or distant
+    edge keeps full relative accuracy; the arc is ``atan2(|cross|, dot)``, where [W18] eq. 20 has an acos that loses half of the
+    digits.
     """
     v_i, length_i = _moderate(v_i)
     v_j, length_j = _moderate(v_j)
@@ -57,9 +58,9 @@ def edge_frame(v_i, v_j) -> EdgeFrame:
 def fan_solid_angle(apex, frame: EdgeFrame):
     """Signed solid angle of the spherical triangle (apex, omega_i, omega_j), in steradians.
 
-    ``2 atan2(a . (b x c), 1 + a.b + b.c + c.a)`` (van Oosterom and Strackee 1983) in place of [W18] eq. 24, whose acos form is printed
-    wrongly and is neither signed nor accurate. Summed over the edges of a closed polygon it gives the signed solid angle, for
-    non-convex polygons too. Any apex will do in exact arithmetic; one inside the polygon keeps the digits.
+    ``2 atan2(a . (b x c), 1 + a.b + b.c + c.a)`` (van Oosterom and Strackee 1983) in place of [W18] eq. 24, whose acos form is
+    printed wrongly and is neither signed nor accurate. Summed over the edges of a closed polygon it gives the signed solid
+    angle, for non-convex polygons too. Any apex will do in exact arithmetic; one inside the polygon keeps the digits.
     """
     numerator = dr.dot(apex, frame.cross)
     denominator = 1 + dr.dot(apex, frame.omega_i) + frame.cos + dr.dot(frame.omega_j, apex)
@@ -70,7 +71,8 @@ def fan_solid_angle(apex, frame: EdgeFrame):
 def interior_direction(vertices, x):
     """Direction from `x` to the mean of a list of vertices: an apex for :py:func:`fan_solid_angle`.
 
-    A fan about a vertex would lose digits where the light fills the hemisphere (3.6e-4 in float32 for a square of 1e4 times its distance).
+    A fan about a vertex would lose digits where the light fills the hemisphere (3.6e-4 in float32 for a square of 1e4 times its
+    distance).
     """
     total = vertices[0] - x
     for v in vertices[1:]:
@@ -104,8 +106,9 @@ class VertexList:
     def sum(self, term, x, apex, width: int) -> list:
         """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``.
 
-        One symbolic loop, so that kernels do not grow with the vertex count. The loop reads the vertices from local memory, or, as that carries no
-        derivatives, from a buffer if they have gradients. Only vertices with gradients inside somebody else's symbolic loop are unrolled.
+        One symbolic loop, so that kernels do not grow with the vertex count. The loop reads the vertices from local memory, or,
+        as that carries no derivatives, from a buffer if they have gradients. Only vertices with gradients inside somebody
+        else's symbolic loop are unrolled.
         """
         v, number = self.vertices, type(x[0])
         attached = dr.grad_enabled(v)

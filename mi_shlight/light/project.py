@@ -22,9 +22,9 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     Parameters
     ----------
     vertices : list of N >= 3 3-vectors
-        The polygon's corners in order, convex or not; Dr.Jit or Mitsuba vectors, wide or single, or triples of floats. The result is
-        signed by orientation: positive when the corners run counter-clockwise as seen from outside the unit sphere about `x`, that is
-        ``omega_0 . (omega_1 x omega_2) > 0``. Clipping at a horizon is not done: the transfer carries it.
+        The polygon's corners in order, convex or not; Dr.Jit or Mitsuba vectors, wide or single, or triples of floats. The
+        result is signed by orientation: positive when the corners run counter-clockwise as seen from outside the unit sphere
+        about `x`, that is ``omega_0 . (omega_1 x omega_2) > 0``. Clipping at a horizon is not done: the transfer carries it.
     x : 3-vector
         Shading point, in the units of `vertices`.
     order : int
@@ -40,15 +40,16 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 or `method` is unknown.
+        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 or `method` is
+        unknown.
 
     Notes
     -----
-    Relative L2 error at order 14 for lights of moderate angular size: below 1e-12 (float64) and 5e-6 (float32). A boundary form subtracts
-    edge terms, so the error grows like eps / theta for a light of angular size theta.
+    Relative L2 error at order 14 for lights of moderate angular size: below 1e-12 (float64) and 5e-6 (float32). A boundary form
+    subtracts edge terms, so the error grows like eps / theta for a light of angular size theta.
 
-    Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute nothing;
-    a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN. Differentiable.
+    Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
+    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN. Differentiable.
 
     Evaluate wide results together, ``dr.eval(coeffs)``: reading one coefficient after the other would compute each anew.
     """

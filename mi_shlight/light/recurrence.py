@@ -17,15 +17,16 @@ from ..sh.lobes import lobes
 from .polygon import EdgeFrame, edge_frame, fan_solid_angle, legendre_p
 
 UNROLL_ORDER = 14
-"""Up to this order all lobes stand in one kernel body. Above, a symbolic loop runs over the lobes: four times slower per point, but compile time
-stays in bounds (unrolled, order 14 takes 2 s in float32 and 4 s in float64, and more than quadratically longer beyond)."""
+"""Up to this order all lobes stand in one kernel body. Above, a symbolic loop runs over the lobes: four times slower per point,
+but compile time stays in bounds (unrolled, order 14 takes 2 s in float32 and 4 s in float64, and more than quadratically longer
+beyond)."""
 
 
 def edge_integrals(frame: EdgeFrame, order: int, directions) -> list:
     """``c_e B_{l,e}`` ([W18] eqs. 14, 21) of one edge: for each lobe direction a list over l = 0 .. order - 1.
 
-    ``directions``: lobe directions, triples of Python floats or Dr.Jit floats. Sums of these over the edges of a polygon are the
-    boundary integrals ``B_l``.
+    ``directions``: lobe directions, triples of Python floats or Dr.Jit floats. Sums of these over the edges of a polygon are
+    the boundary integrals ``B_l``.
     """
     omega_i, omega_j, _, normal, sin, cos, arc = frame
     tangent = dr.cross(normal, omega_i)              # lambda_e, [W18] eq. 16
@@ -100,8 +101,8 @@ def project_recurrence(edges, x, apex, order: int) -> list:
 def recurrence_shader(transfer: list, order: int):
     """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm`` without forming the coefficients.
 
-    The transfer is taken to the lobes and through the transposed recurrence of ``S_l`` once, before all lights; each edge then costs one
-    running sum instead of ``(order + 1)**2``. Same numbers as the dot product with :py:func:`project_recurrence`.
+    The transfer is taken to the lobes and through the transposed recurrence of ``S_l`` once, before all lights; each edge then
+    costs one running sum instead of ``(order + 1)**2``. Same numbers as the dot product with :py:func:`project_recurrence`.
     """
     number = type(transfer[0])
     if order > UNROLL_ORDER and dr.is_jit_v(number):

@@ -8,15 +8,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .. import __version__
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
-from ..scene import content_hash, mesh_arrays, polygon_lights, receivers
+from ..scene import content_hash, mesh_arrays, occluder_hash, polygon_lights, receivers
 from ..sh.basis import check_order
 from .mesh import MAX_ROWS, automatic_edge, refine, spread_to_buried
-from .store import MeshBlock, Transfer, occluder_hash
-from .visibility import BakeLights, inside_a_body, occluder_scene, shadowed_transfer
-
-MAX_GROUPS = 4
-"""Up to this many lights each has its own visibility; more lights share one."""
+from .store import MeshBlock, Transfer
+from .visibility import MAX_GROUPS, BakeLights, inside_a_body, light_groups, occluder_scene, shadowed_transfer
 
 ROWS_PER_LAUNCH = 8192
 
@@ -25,9 +23,10 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
                   light_margin: float = 0.0, progress=False) -> Transfer:
     """Bake diffuse shadowed transfer at the (refined) vertices of every mesh in a Mitsuba scene.
 
-    For each baked point, side and light group the coefficients of ``T(omega) = V(omega) max(0, n . omega) / pi`` ([W18] section 3.1,
-    [G03] shadowed diffuse transfer) are estimated with `samples` cosine-distributed rays and the analytic cosine as control variate. ``V`` asks
-    whether something lies between the point and the lights (:py:mod:`mi_shlight.transfer.visibility`), so closed rooms work.
+    For each baked point, side and light group the coefficients of ``T(omega) = V(omega) max(0, n . omega) / pi`` ([W18] section
+    3.1, [G03] shadowed diffuse transfer) are estimated with `samples` cosine-distributed rays and the analytic cosine as
+    control variate. ``V`` asks whether something lies between the point and the lights
+    (:py:mod:`mi_shlight.transfer.visibility`), so closed rooms work.
 
     Parameters
     ----------
@@ -40,9 +39,11 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     samples : int
         Rays per baked point, 16 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
     max_edge : float
-        Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers' bounding box.
+        Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers'
+        bounding box.
     light_margin : float
-        Distance, in scene units, by which lights may move before the bake is stale. Visibility is then resolved in the grown neighbourhood of each light.
+        Distance, in scene units, by which lights may move before the bake is stale. Visibility is then resolved in the grown
+        neighbourhood of each light.
     progress : bool or callable
         True: a line on standard error. A callable is called with (points done, points in all).
 
@@ -53,37 +54,40 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     Raises
     ------
     TypeError, ValueError
-        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 4 million points to bake.
+        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 4 million
+        points to bake.
     """
     name = "bake_transfer"
     if not isinstance(scene, mi.Scene):
-        raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene, "Load it with mi.load_file(path, optimize=False)."))
+        raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene,
+                                "Load it with mi.load_file(path, optimize=False)."))
     order = check_order(name, order)
     check_choice(name, "transfer", transfer, ("shadowed",), "Unshadowed transfer is analytic: use it directly in 'shprt'.")
     samples = check_integer(name, "samples", samples, 16, 65536)
     max_edge = check_number(name, "max_edge", max_edge, 0, hint="It is a length in scene units; 0 chooses automatically.")
     light_margin = check_number(name, "light_margin", light_margin, 0, hint="It is a length in scene units.")
-    with warnings.catch_warnings():
-        if progress is not False:                     # the integrator has shown them already
-            warnings.simplefilter("ignore", UnsupportedSceneWarning)
-        lights, lit = polygon_lights(scene), receivers(scene)
-    report = _printer() if progress is True else progress or (lambda done, total: None)
+    return trace_transfer(scene, polygon_lights(scene), receivers(scene), order, samples, max_edge, light_margin, progress)
 
+
+def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max_edge: float, light_margin: float,
+                   progress) -> Transfer:
+    """:py:func:`bake_transfer` for the lights and receivers already found in `scene`; arguments are not checked."""
+    report = _printer() if progress is True else progress or (lambda done, total: None)
     with dr.suspend_grad():
         points, positions, normals, max_edge = _bake_points(lit, max_edge)
-        groups = np.arange(len(lights) + 1) if len(lights) <= MAX_GROUPS else np.array([0, len(lights)])
+        groups = np.array(light_groups(len(lights)))
         outlines = [light.outline for light in lights]
-        bake_lights = BakeLights(outlines, np.array([light.normal for light in lights]), light_margin, len(lights) > MAX_GROUPS)
+        bake_lights = BakeLights(lights, light_margin)
         occluders = occluder_scene(scene)
         coeffs, visibility, conflict = _trace(occluders, bake_lights, groups, positions, normals, order, samples, report)
         _clean_contacts(occluders, points, positions, normals, coeffs, visibility)
     if conflict > 1e-3:
-        warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other with an occluder between; more than "
-                      f"{MAX_GROUPS} lights share one visibility, so the farther light shines through there.", UnsupportedSceneWarning, stacklevel=2)
-    from .. import __version__
+        warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other "
+                      f"with an occluder between; more than {MAX_GROUPS} lights share one visibility, so the farther light shines "
+                      "through there.", UnsupportedSceneWarning, stacklevel=3)
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
-    return Transfer(order, transfer, samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict, [block for block, _ in points],
-                    occluder_hash(scene), versions)
+    return Transfer(order, "shadowed", samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict,
+                    [block for block, _ in points], occluder_hash(scene), versions)
 
 
 def _bake_points(lit: list, max_edge: float) -> tuple:

@@ -23,7 +23,8 @@ def cosine_bands(order: int) -> list:
 
 
 def cosine_transfer(normal, order: int) -> list:
-    """Coefficients of ``max(0, normal . omega) / pi``, the transfer of an unoccluded diffuse surface of reflectance 1 ([G03] diffuse unshadowed).
+    """Coefficients of ``max(0, normal . omega) / pi``, the transfer of an unoccluded diffuse surface of reflectance 1 ([G03]
+    diffuse unshadowed).
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Where transfer is baked: vertices of a mesh, refined where its triangles are too coarse to carry a shadow.
 
-The rendered geometry is untouched. Each triangle is cut into k x k smaller ones, k a power of two; a *row* is one baked point (position and normal), shared
-by the triangles that meet there with the same normal. Triangles of different k share an edge without cracks in the geometry, but their interpolated
-transfer may differ slightly along it.
+The rendered geometry is untouched. Each triangle is cut into k x k smaller ones, k a power of two; a *row* is one baked point
+(position and normal), shared by the triangles that meet there with the same normal. Triangles of different k share an edge
+without cracks in the geometry, but their interpolated transfer may differ slightly along it.
 """
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class BakeMesh:
     Attributes
     ----------
     positions, normals : ndarray (R, 3), float32
-        Baked points of the front side. Points on the rim of a face are pulled inwards by 5 % of a cell, so that rays from the edge between two walls do not start in
-        the other wall.
+        Baked points of the front side. Points on the rim of a face are pulled inwards by 5 % of a cell, so that rays from the
+        edge between two walls do not start in the other wall.
     subdivision : ndarray (F,), uint32
         k of each face.
     first : ndarray (F,), uint32
@@ -79,7 +79,8 @@ def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float) -
     keys = np.concatenate([np.round(points / (extent * 1e-6)), np.round(directions * 1e3)], axis=1).astype(np.int64)
     _, index, rows = np.unique(_hashable(keys), return_index=True, return_inverse=True)
     rows, points, directions = rows.reshape(-1), points[index], directions[index]
-    inwards = np.stack([np.bincount(rows, column, len(index)) for column in pulls.T], axis=1) / np.bincount(rows, minlength=len(index))[:, None]
+    shared = np.bincount(rows, minlength=len(index))[:, None]
+    inwards = np.stack([np.bincount(rows, column, len(index)) for column in pulls.T], axis=1) / shared
     inwards -= directions * (inwards * directions).sum(axis=1, keepdims=True)
     return BakeMesh((points + RIM * inwards).astype(np.float32), directions.astype(np.float32), subdivision,
                     first[:-1].astype(np.uint32), rows.astype(np.uint32))
@@ -88,8 +89,9 @@ def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float) -
 def spread_to_buried(mesh: BakeMesh, buried: np.ndarray, values: np.ndarray) -> None:
     """Overwrite `values` (..., R, N) at buried points by the mean over their neighbours that are not, in place.
 
-    A wall or floor that runs into another body has points inside that body, where everything is dark. Interpolation would draw this dark out to the visible side,
-    a halo one cell wide around the contact; extrapolating from the visible side removes it. Buried points with no such neighbour are never seen and stay.
+    A wall or floor that runs into another body has points inside that body, where everything is dark. Interpolation would draw
+    this dark out to the visible side, a halo one cell wide around the contact; extrapolating from the visible side removes it.
+    Buried points with no such neighbour are never seen and stay.
     """
     if not buried.any():
         return
@@ -109,7 +111,8 @@ def _grid_edges(mesh: BakeMesh) -> np.ndarray:
     pairs = [np.zeros((0, 2), np.int64)]
     for k in np.unique(mesh.subdivision):
         number = {(i, j): g for g, (i, j) in enumerate((i, j) for j in range(k + 1) for i in range(int(k) + 1 - j))}
-        local = np.array([(g, number[i + di, j + dj]) for (i, j), g in number.items() for di, dj in ((1, 0), (0, 1), (-1, 1)) if (i + di, j + dj) in number])
+        local = np.array([(g, number[i + di, j + dj]) for (i, j), g in number.items()
+                          for di, dj in ((1, 0), (0, 1), (-1, 1)) if (i + di, j + dj) in number])
         chosen = np.flatnonzero(mesh.subdivision == k)
         pairs.append(mesh.rows[(mesh.first[chosen].astype(np.int64)[:, None, None] + local).reshape(-1, 2)])
     return np.unique(np.sort(np.concatenate(pairs).astype(np.int64), axis=1), axis=0)
@@ -121,7 +124,9 @@ def automatic_edge(bounds: np.ndarray) -> float:
 
 
 def _grid(k: int) -> np.ndarray:
-    """Barycentric weights of the grid points of a triangle cut k x k: row j holds i = 0 .. k - j, weights (k - i - j, i, j) / k."""
+    """Barycentric weights of the grid points of a triangle cut k x k: row j holds i = 0 .. k - j, weights (k - i - j, i, j) /
+    k.
+    """
     return np.array([((k - i - j) / k, i / k, j / k) for j in range(k + 1) for i in range(k + 1 - j)])
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import zipfile
 from dataclasses import asdict, dataclass, field
 
@@ -12,10 +11,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import message
-from ..scene import content_hash, receivers, shape_index
+from ..files import check_output, replacing
+from ..scene import content_hash, keep_quiet, occluder_hash, receivers, shape_index
 
 FORMAT = "mi_shlight transfer"
 FORMAT_VERSION = 1
+SCALARS = ("order", "transfer", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions")
 
 
 @dataclass
@@ -24,7 +25,9 @@ class MeshBlock:
 
     name: str
     content: str
-    """Hash of geometry and lit sides (:py:func:`mi_shlight.scene.content_hash`): the key under which a scene's mesh finds its block."""
+    """Hash of geometry and lit sides (:py:func:`mi_shlight.scene.content_hash`): the key under which a scene's mesh finds its
+    block.
+    """
     two_sided: bool
     first_row: int
     """Row of the mesh's first front point; the back points, if any, follow the `row_count` front ones."""
@@ -51,7 +54,8 @@ class Transfer:
     visibility : ndarray (G, R), float32
         Cosine-weighted mean of V, 0 to 1.
     groups : ndarray (G + 1,)
-        Light group g holds the lights ``groups[g] .. groups[g + 1] - 1`` in the scene's order. Up to four lights have a group each.
+        Light group g holds the lights ``groups[g] .. groups[g + 1] - 1`` in the scene's order. Up to four lights have a group
+        each.
     outlines : list of ndarray (E, 2, 3)
         The lights' boundary edges at bake time.
     light_margin : float
@@ -59,8 +63,8 @@ class Transfer:
     max_edge : float
         Longest edge of a baked triangle, scene units.
     conflict : float
-        Largest cosine-weighted part of a point's hemisphere, 0 to 1, in which two lights of one group stand behind each other with an occluder between:
-        bounds the relative error of that point's irradiance from those directions.
+        Largest cosine-weighted part of a point's hemisphere, 0 to 1, in which two lights of one group stand behind each other
+        with an occluder between: bounds the relative error of that point's irradiance from those directions.
     meshes : list of MeshBlock
     occluders : str
         Hash over all shapes of the scene that can block light.
@@ -87,44 +91,33 @@ class Transfer:
 
         Raises
         ------
-        FileNotFoundError
-            If the folder of `path` does not exist.
+        OSError
+            If the folder of `path` does not exist or cannot be written to.
         """
-        path = os.fspath(path)
-        folder = os.path.dirname(os.path.abspath(path))
-        if not os.path.isdir(folder):
-            raise FileNotFoundError(message("Transfer.save", "path", "lie in an existing folder", path, f"Create '{folder}' first."))
-        header = {"format": FORMAT, "format_version": FORMAT_VERSION, "order": self.order, "transfer": self.transfer,
-                  "samples": self.samples, "light_margin": self.light_margin, "max_edge": self.max_edge, "conflict": self.conflict,
-                  "occluders": self.occluders, "versions": self.versions, "lights": len(self.outlines), "meshes": [
-                      {k: v for k, v in asdict(b).items() if not isinstance(v, np.ndarray)} for b in self.meshes]}
+        path = check_output("Transfer.save", "path", path)
+        header = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in SCALARS},
+                  "lights": len(self.outlines),
+                  "meshes": [{k: v for k, v in asdict(b).items() if not isinstance(v, np.ndarray)} for b in self.meshes]}
         arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), "coeffs": self.coeffs,
                   "visibility": self.visibility, "groups": self.groups}
         for i, outline in enumerate(self.outlines):
             arrays[f"outline_{i}"] = outline
         for i, block in enumerate(self.meshes):
             arrays.update({f"subdivision_{i}": block.subdivision, f"first_{i}": block.first, f"rows_{i}": block.rows})
-        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez_compressed(file, **arrays)
-            umask = os.umask(0)
-            os.umask(umask)
-            os.chmod(temporary, 0o666 & ~umask)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez_compressed(file, **arrays)
 
     def check(self, scene) -> None:
         """Raise ValueError unless the bake belongs to the geometry of `scene`."""
         known = {block.content for block in self.meshes}
-        found = [r for r in receivers_quiet(scene) if r.shape.is_mesh() and not r.shape.is_emitter()]
+        found = [r for r in receivers(scene, keep_quiet) if r.shape.is_mesh() and not r.shape.is_emitter()]
         strange = [r.name for r in found if content_hash(r.shape, r.two_sided) not in known]
         if strange or self.occluders != occluder_hash(scene):
-            what = f"these meshes differ or are new: {', '.join(strange[:5])}" if strange else "a shape that can cast shadows was added, removed or moved"
-            raise ValueError(f"Transfer.check(): 'scene' must have the geometry it was baked for, got one where {what}. Bake again; always load scenes "
-                             "with optimize=False (Mitsuba otherwise merges meshes in an order that changes from load to load).")
+            what = (f"these meshes differ or are new: {', '.join(strange[:5])}" if strange
+                    else "a shape that can cast shadows was added, removed or moved")
+            raise ValueError(f"Transfer.check(): 'scene' must have the geometry it was baked for, got one where {what}. Bake again; "
+                             "always load scenes with optimize=False (Mitsuba otherwise merges meshes in an order that changes from "
+                             "load to load).")
 
     def fits(self, scene) -> bool:
         """True if :py:meth:`check` would pass."""
@@ -151,7 +144,8 @@ def load_transfer(path) -> Transfer:
     """
     path = os.fspath(path)
     if not os.path.isfile(path):
-        raise FileNotFoundError(message("load_transfer", "path", "name an existing file", path, "Bake one with 'mi-shlight bake SCENE -o FILE'."))
+        raise FileNotFoundError(message("load_transfer", "path", "name an existing file", path,
+                                        "Bake one with 'mi-shlight bake SCENE -o FILE'."))
     try:
         with np.load(path, allow_pickle=False) as data:
             header = json.loads(bytes(data["header"]))
@@ -162,8 +156,9 @@ def load_transfer(path) -> Transfer:
             meshes = [MeshBlock(**block, subdivision=data[f"subdivision_{i}"], first=data[f"first_{i}"], rows=data[f"rows_{i}"])
                       for i, block in enumerate(header["meshes"])]
             outlines = [data[f"outline_{i}"] for i in range(header["lights"])]
-            result = Transfer(header["order"], header["transfer"], header["samples"], data["coeffs"], data["visibility"], data["groups"],
-                              outlines, header["light_margin"], header["max_edge"], header["conflict"], meshes, header["occluders"], header["versions"])
+            scalars = {name: header[name] for name in SCALARS}
+            result = Transfer(**scalars, coeffs=data["coeffs"], visibility=data["visibility"], groups=data["groups"],
+                              outlines=outlines, meshes=meshes)
         shape = (len(result.groups) - 1, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
         if result.coeffs.shape != shape:
             raise ValueError(f"coefficients of shape {result.coeffs.shape} where {shape} is due")
@@ -172,27 +167,12 @@ def load_transfer(path) -> Transfer:
         raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path, f"Reason: {error}.")) from None
 
 
-def receivers_quiet(scene) -> list:
-    """:py:func:`mi_shlight.scene.receivers` without its warnings, for callers that have shown them already."""
-    import warnings
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return receivers(scene)
-
-
-def occluder_hash(scene) -> str:
-    """Hash over all shapes that can block light, independent of their order."""
-    import hashlib
-    parts = sorted(content_hash(s, False) for s in scene.shapes() if not s.is_emitter())
-    return hashlib.sha256("".join(parts).encode()).hexdigest()
-
-
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
     def __init__(self, transfer: Transfer, scene):
         blocks = {block.content: block for block in transfer.meshes}
-        shapes = [(shape_index(r.shape), r, blocks.get(content_hash(r.shape, r.two_sided))) for r in receivers_quiet(scene)
+        shapes = [(shape_index(r.shape), r, blocks.get(content_hash(r.shape, r.two_sided))) for r in receivers(scene, keep_quiet)
                   if r.shape.is_mesh() and not r.shape.is_emitter()]
         size = 1 + max([shape_index(s) for s in scene.shapes()], default=0)
         self.size = size
@@ -210,7 +190,7 @@ class TransferLookup:
             faces += len(block.first)
             points += len(block.rows)
         join = lambda parts: _aligned(mi.UInt32, np.concatenate(parts) if parts else np.zeros(1, np.uint32))
-        self.baked, self.first_face, self.back = _aligned(mi.UInt32, baked), _aligned(mi.UInt32, first_face), _aligned(mi.UInt32, back)
+        self.baked, self.first_face, self.back = (_aligned(mi.UInt32, table) for table in (baked, first_face, back))
         self.subdivision, self.first, self.rows = join(subdivision), join(first), join(rows)
         self.coeffs = _aligned(mi.Float, transfer.coeffs.ravel())
         self.count, self.row_count = transfer.coeffs.shape[2], transfer.coeffs.shape[1]
@@ -235,7 +215,8 @@ class TransferLookup:
             return dr.gather(mi.UInt32, self.rows, first + j * (k + 1) - j * (j - 1) // 2 + i, valid) + offset
 
         rows = [row(i + dr.select(upper, mi.UInt32(1), 0), j + dr.select(upper, mi.UInt32(1), 0)),
-                row(dr.select(upper, i, i + 1), dr.select(upper, j + 1, j)), row(dr.select(upper, i + 1, i), dr.select(upper, j, j + 1))]
+                row(dr.select(upper, i, i + 1), dr.select(upper, j + 1, j)),
+                row(dr.select(upper, i + 1, i), dr.select(upper, j, j + 1))]
         total = dr.maximum(fu + fv, 1)                # rounding may leave the cell by an ulp
         w1, w2 = dr.select(upper, 1 - fu, fu / total), dr.select(upper, 1 - fv, fv / total)
         return rows, [1 - w1 - w2, w1, w2], valid
@@ -250,7 +231,9 @@ class TransferLookup:
 
 
 def _aligned(kind, values: np.ndarray):
-    """Device copy of a numpy array. Dr.Jit would alias numpy's memory, whose alignment changes and doubles the kernels in the cache."""
+    """Device copy of a numpy array. Dr.Jit would alias numpy's memory, whose alignment changes and doubles the kernels in the
+    cache.
+    """
     dtype = {mi.Float: np.float32, mi.UInt32: np.uint32}[kind]
     source = kind(np.ascontiguousarray(values, dtype=dtype))
     copy = dr.zeros(kind, len(values))

@@ -1,17 +1,19 @@
 """Diffuse shadowed transfer at a point, for lights that stand inside the scene.
 
-The papers' visibility is a property of the receiver alone, "does a ray leave the scene". In a closed room every ray hits a wall; what is meant is
-whether anything lies between the point and the light. So emitting shapes never occlude, and a hit counts only if it is nearer than the light
-in that direction.
+The papers' visibility is a property of the receiver alone, "does a ray leave the scene". In a closed room every ray hits a
+wall; what is meant is whether anything lies between the point and the light. So emitting shapes never occlude, and a hit counts
+only if it is nearer than the light in that direction.
 
-Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their visibility is taken from the
-nearest direction that does hit a light (for a light grown by a margin within which it may move). So the visibility is constant wherever a point sees all of its lights,
-or none: there the transfer is exact up to the band limit of the cosine, with no ringing from walls, from the ceiling behind a light or from
-distant silhouettes; only the silhouettes that cross the light itself remain. The part of a light below the receiver's horizon is left to the clamped cosine: a point whose lights are
-all below its horizon gets a zero transfer.
+Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their
+visibility is taken from the nearest direction that does hit a light (for a light grown by a margin within which it may move).
+So the visibility is constant wherever a point sees all of its lights, or none: there the transfer is exact up to the band limit
+of the cosine, with no ringing from walls, from the ceiling behind a light or from distant silhouettes; only the silhouettes
+that cross the light itself remain. The part of a light below the receiver's horizon is left to the clamped cosine: a point
+whose lights are all below its horizon gets a zero transfer.
 """
 from __future__ import annotations
 
+import itertools
 import math
 
 import drjit as dr
@@ -22,6 +24,14 @@ from ..sh.basis import sh_basis
 from .cosine import cosine_transfer
 
 GOLDEN = (math.sqrt(5) - 1) / 2
+
+MAX_GROUPS = 4
+"""Up to this many lights each has its own visibility; more lights share one."""
+
+
+def light_groups(count: int) -> list:
+    """Bounds of the light groups of `count` lights: group g holds the lights ``bounds[g] .. bounds[g + 1] - 1``."""
+    return list(range(count + 1)) if count <= MAX_GROUPS else [0, count]
 
 
 def occluder_scene(scene):
@@ -59,8 +69,9 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
 
     Returns
     -------
-    (list of (order + 1)**2 floats, visibility, conflict): the coefficients in 1/sr; the cosine-weighted mean of V in [0, 1]; and the cosine-weighted part of the
-    hemisphere, in [0, 1], in which two lights of the group stand behind each other with an occluder between, which one V cannot represent.
+    (list of (order + 1)**2 floats, visibility, conflict): the coefficients in 1/sr; the cosine-weighted mean of V in [0, 1];
+    and the cosine-weighted part of the hemisphere, in [0, 1], in which two lights of the group stand behind each other with an
+    occluder between, which one V cannot represent.
     """
     frame = mi.Frame3f(n)
     origin = _lifted(p, n)
@@ -88,7 +99,8 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
     zeros = lambda: [mi.Float(0) for _ in range(count)]
     last = dr.select(active, mi.UInt32(samples), 0)
     _, visible, conflict, weighted, plain, _, _ = dr.while_loop(
-        (mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), origin, offset), lambda s, *_: s < last, body, mode="symbolic")
+        (mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), origin, offset), lambda s, *_: s < last, body,
+        mode="symbolic")
     mean = visible / samples
     exact = cosine_transfer(n, order)
     coeffs = [dr.fma(mean, e - b / samples, w / samples) for e, b, w in zip(exact, plain, weighted)]
@@ -96,7 +108,8 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
 
 
 def inside_a_body(occluders, p, n, samples: int = 32):
-    """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid body.
+    """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid
+    body.
 
     Only such points are certain never to be seen from outside; `p`, `n` as in :py:func:`shadowed_transfer`.
     """
@@ -116,22 +129,22 @@ def inside_a_body(occluders, p, n, samples: int = 32):
 class BakeLights:
     """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
 
-    def __init__(self, outlines: list, normals, margin: float, crowded: bool):
-        """`outlines`: per light its boundary edges (E, 2, 3); `normals` (K, 3); `crowded`: several lights share a group."""
-        flat = lambda rows: mi.Float([float(v) for row in rows for v in row.ravel()])
+    def __init__(self, lights: list, margin: float):
+        """`lights`: :py:class:`~mi_shlight.scene.PolygonLight` objects."""
+        outlines = [light.outline for light in lights]
+        flat = lambda arrays: mi.Float([float(v) for array in arrays for v in array.ravel()])
         self.edges = flat(outlines)
-        totals = [0]
-        for outline in outlines:
-            totals.append(totals[-1] + len(outline))
-        self.first_edge = mi.UInt32(totals)
-        self.normal = mi.Float([float(v) for v in normals.ravel()])
-        self.margin, self.crowded = margin, crowded
+        self.first_edge = mi.UInt32([0, *itertools.accumulate(len(outline) for outline in outlines)])
+        self.normal = flat([light.normal for light in lights])
+        self.margin = margin
+        self.crowded = len(lights) > MAX_GROUPS
 
     def nearest(self, group, x, n, d) -> tuple:
-        """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such distance, found).
+        """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such
+        distance, found).
 
-        `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that does. Lights are clipped to the
-        horizon of the normal `n`; `found` is False where nothing of them is left.
+        `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that
+        does. Lights are clipped to the horizon of the normal `n`; `found` is False where nothing of them is left.
         """
         def light_body(k, best, best_q, reach, farthest, inside_any, x, n, d):
             normal = dr.gather(mi.Vector3f, self.normal, k)
@@ -172,7 +185,8 @@ class BakeLights:
 
         first, last = group
         _, chord2, q, distance, farthest, *_ = dr.while_loop(
-            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, n, mi.Vector3f(d)),
+            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, n,
+             mi.Vector3f(d)),
             lambda k, *_: k < last, light_body, mode="symbolic")
         if self.margin > 0:
             angle = dr.minimum(dr.atan2(mi.Float(self.margin), distance), 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1)))

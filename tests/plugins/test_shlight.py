@@ -261,7 +261,7 @@ BAD = [
     ('<bsdf name="radiance" type="diffuse"/>', ["'radiance' must be a spectrum, a texture or a number"]),
     ('<boolean name="radiance" value="true"/>', ["'radiance' must be", "got True"]),
     ('<vector name="radiance" value="1, 2, 3"/>', ["'radiance' must be", '<rgb name="radiance"']),
-    ('<rgb name="radiace" value="1, 2, 3"/>', ["'radiace'", "Perhaps 'radiance' was meant."]),
+    ('<rgb name="radiace" value="1, 2, 3"/>', ["'radiace'", "Did you mean 'radiance'?"]),
     ('<integer name="order" value="8"/>', ["'order'", "got '8'", "Remove it"]),
 ]
 
