@@ -73,7 +73,6 @@ def test_mathematics_does_not_import_mitsuba(name):
     assert not uses or name.split(".")[0] in USES_MITSUBA
 
 
-
 def test_the_parser_sees_relative_and_nested_imports(tmp_path):
     source = "from . import a\nfrom ..x.y import b\nimport mitsuba as mi\ndef f():\n    from .z import c\n"
     file = tmp_path / "m.py"

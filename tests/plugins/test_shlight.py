@@ -262,7 +262,7 @@ BAD = [
     ('<boolean name="radiance" value="true"/>', ["'radiance' must be", "got True"]),
     ('<vector name="radiance" value="1, 2, 3"/>', ["'radiance' must be", '<rgb name="radiance"']),
     ('<rgb name="radiace" value="1, 2, 3"/>', ["'radiace'", "Did you mean 'radiance'?"]),
-    ('<integer name="order" value="8"/>', ["'order'", "got '8'", "Remove it"]),
+    ('<integer name="order" value="8"/>', ["'order'", "got '8'", "Its parameters are 'radiance'"]),
 ]
 
 
