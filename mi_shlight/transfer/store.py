@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from dataclasses import asdict, dataclass, field
 
 import drjit as dr
@@ -149,7 +150,7 @@ def load_transfer(path) -> Transfer:
     try:
         with np.load(path, allow_pickle=False) as data:
             header = json.loads(bytes(data["header"]))
-            if header.get("format") != FORMAT:
+            if not isinstance(header, dict) or header.get("format") != FORMAT:
                 raise ValueError("no mi_shlight header")
             if header["format_version"] != FORMAT_VERSION:
                 raise ValueError(f"format version {header['format_version']}, this release reads {FORMAT_VERSION}; bake again")
@@ -162,8 +163,13 @@ def load_transfer(path) -> Transfer:
         shape = (len(result.groups) - 1, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
         if result.coeffs.shape != shape:
             raise ValueError(f"coefficients of shape {result.coeffs.shape} where {shape} is due")
+        for block in meshes:
+            points = (block.subdivision.astype(np.int64) + 1) * (block.subdivision.astype(np.int64) + 2) // 2
+            if (not np.array_equal(block.first, np.cumsum(points) - points) or len(block.rows) != points.sum()
+                    or block.rows.max(initial=0) >= max(block.row_count, 1)):
+                raise ValueError(f"the points of mesh '{block.name}' do not fit together")
         return result
-    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile, json.JSONDecodeError) as error:
+    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path, f"Reason: {error}.")) from None
 
 

@@ -146,16 +146,16 @@ class BakeLights:
         `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that
         does. Lights are clipped to the horizon of the normal `n`; `found` is False where nothing of them is left.
         """
-        def light_body(k, best, best_q, reach, farthest, inside_any, x, n, d):
+        def light_body(k, best, best_q, reach, plane, farthest, x, n, d):
             normal = dr.gather(mi.Vector3f, self.normal, k)
             first, last = dr.gather(mi.UInt32, self.first_edge, k), dr.gather(mi.UInt32, self.first_edge, k + 1)
             height = dr.dot(normal, self._vertex(first, 0) - x)
-            slope = dr.dot(normal, d)
-            plane = dr.select(height * slope > 0, height / dr.select(slope != 0, slope, 1), dr.inf)
+            through = _distance_to_plane(normal, height, d)
+            hits_plane = dr.isfinite(through)
+            hit = d * dr.select(hits_plane, through, 0)
             axis = dr.select(abs(normal.x) > 0.9, mi.Vector3f(0, 1, 0), mi.Vector3f(1, 0, 0))
             across = dr.cross(normal, axis)
             along = dr.cross(normal, across)
-            hit = d * dr.select(dr.isfinite(plane), plane, 0)
 
             def edge_body(e, inside, near, near_q, near_distance, x, n, d, hit):
                 v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
@@ -172,30 +172,39 @@ class BakeLights:
                 return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q),
                         dr.select(closer, distance, near_distance), x, n, d, hit)
 
-            _, inside, near, near_q, near_distance, *_ = dr.while_loop(
+            _, inside, chord2, q, distance, *_ = dr.while_loop(
                 (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), x, n, d, hit),
                 lambda e, *_: e < last, edge_body, mode="symbolic")
-            inside &= dr.isfinite(plane)
-            chord2 = dr.select(inside, 0, near)
-            distance = dr.select(inside, plane, dr.minimum(near_distance, plane))
-            closer = (chord2 < best) | (inside & inside_any & (distance < reach))
-            return (k + 1, dr.select(closer, chord2, best), dr.select(closer, dr.select(inside, d, near_q), best_q),
-                    dr.select(closer, distance, reach), dr.select(inside, dr.maximum(farthest, distance), farthest),
-                    inside_any | inside, x, n, d)
+            inside &= hits_plane
+            q, chord2, distance = dr.select(inside, d, q), dr.select(inside, 0, chord2), dr.select(inside, through, distance)
+            closer = (chord2 < best) | (inside & (best == 0) & (distance < reach))
+            return (k + 1, dr.select(closer, chord2, best), dr.select(closer, q, best_q), dr.select(closer, distance, reach),
+                    dr.select(closer, mi.Vector4f(normal.x, normal.y, normal.z, height), plane),
+                    dr.select(inside, dr.maximum(farthest, distance), farthest), x, n, d)
 
         first, last = group
-        _, chord2, q, distance, farthest, *_ = dr.while_loop(
-            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Float(0), mi.Bool(False), x, n,
+        _, chord2, q, distance, plane, farthest, *_ = dr.while_loop(
+            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Vector4f(0), mi.Float(0), x, n,
              mi.Vector3f(d)),
             lambda k, *_: k < last, light_body, mode="symbolic")
         if self.margin > 0:
-            angle = dr.minimum(dr.atan2(mi.Float(self.margin), distance), 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1)))
+            # Only in front of the light, and only up to its plane: what is behind it does not count.
+            normal, height = plane.xyz, plane.w
+            apart = 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1))
+            angle = dr.select(height < 0, dr.minimum(dr.atan2(mi.Float(self.margin), distance), apart), 0)
             sin, cos = dr.sincos(angle)
             q = mi.Vector3f(q * cos + direction(d - q * dr.dot(d, q)) * sin)
+            distance = dr.select(angle > 0, dr.minimum(distance, _distance_to_plane(normal, height, q)), distance)
         return q, distance, farthest, dr.isfinite(chord2)
 
     def _vertex(self, edge, end: int):
         return dr.gather(mi.Point3f, self.edges, 2 * edge + end)
+
+
+def _distance_to_plane(normal, height, d):
+    """Distance along `d` to the plane ``normal . v = height``; infinite if it lies behind."""
+    slope = dr.dot(normal, d)
+    return dr.select(height * slope > 0, height / dr.select(slope != 0, slope, 1), dr.inf)
 
 
 def _lifted(p, n):

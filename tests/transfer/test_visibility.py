@@ -1,6 +1,7 @@
 """What a baked point sees of its lights: exact cases, the clamp to the nearest direction, and truth by brute force."""
 import math
 import warnings
+from types import SimpleNamespace
 
 import drjit as dr
 import numpy as np
@@ -11,15 +12,16 @@ mi = pytest.importorskip("mitsuba")
 
 from mi_shlight import bake_transfer  # noqa: E402
 from mi_shlight.errors import UnsupportedSceneWarning  # noqa: E402
+from mi_shlight.scene import mesh_arrays, polygon_lights  # noqa: E402
 from mi_shlight.transfer.cosine import cosine_transfer  # noqa: E402
+from mi_shlight.transfer.mesh import refine  # noqa: E402
 from mi_shlight.transfer.visibility import BakeLights, occluder_scene, shadowed_transfer  # noqa: E402
 
 
 def transfer_at(scene, points, normals, order, samples, margin=0.0):
     """Coefficients (P, N), visibility (P,) of the scene's only group of lights, at points of our own."""
-    from mi_shlight.scene import polygon_lights
     lights = polygon_lights(scene)
-    bake_lights = BakeLights([light.outline for light in lights], np.array([light.normal for light in lights]), margin, False)
+    bake_lights = BakeLights(lights, margin)
     p, n = (np.asarray(a, float).reshape(-1, 3).T.copy() for a in (points, normals))
     t, v, _ = shadowed_transfer(occluder_scene(scene), bake_lights, (mi.UInt32(0), mi.UInt32(len(lights))), mi.Point3f(*p), mi.Normal3f(*n),
                                 order, samples, mi.Point2f(0.5, 0.5))
@@ -32,9 +34,7 @@ def cosine(normal, order):
 
 
 def seen_by(transfer, scene, order):
-    """(positions-free) unoccluded coefficients of every baked row, from the block's own normals."""
-    from mi_shlight.scene import mesh_arrays
-    from mi_shlight.transfer.mesh import refine
+    """Unoccluded coefficients of every baked row: the cosine about its normal."""
     rows = []
     for block in transfer.meshes:
         shape = next(s for s in scene.shapes() if s.id() == block.name)
@@ -45,12 +45,13 @@ def seen_by(transfer, scene, order):
     return np.stack([np.array(b) + np.zeros(sum(map(len, rows))) for b in basis], axis=1)
 
 
-@pytest.mark.parametrize("gap", [0.2, 1e-3])
-def test_closed_room(build, gap):
-    """Every ray hits a wall, and the ceiling is right behind the light: still all is visible, without any error."""
+@pytest.mark.parametrize("gap, margin", [(0.2, 0.0), (1e-3, 0.0), (0.2, 0.1), (1e-3, 0.1)])
+def test_closed_room(build, gap, margin):
+    """Every ray hits a wall, and the ceiling is right behind the light: still all is visible, without any error. A light with a
+    margin looks beyond its rim, where the ceiling must not count either."""
     room = build.box([-1, -1, -1], [1, 1, 1], "room", inside=True)
     scene = build.scene(room, build.light(build.level(0.6, 1 - gap, up=False)))
-    transfer = bake_transfer(scene, 3, samples=64, max_edge=0.5)
+    transfer = bake_transfer(scene, 3, samples=64, max_edge=0.5, light_margin=margin)
     np.testing.assert_array_equal(transfer.visibility, 1)
     np.testing.assert_allclose(transfer.coeffs[0], seen_by(transfer, scene, 3), atol=2e-6)
 
@@ -86,6 +87,16 @@ def test_covered_light_is_exactly_dark(build, height):
     assert transfer.meshes[0].name == "floor" and rows > 4
     np.testing.assert_array_equal(transfer.coeffs[0, :rows], 0)
     np.testing.assert_array_equal(transfer.visibility[0, :rows], 0)
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.05])
+def test_light_covered_as_seen_from_the_side(build, margin):
+    """A plate near the light hides it from a distant point: also for directions that pass the light's plane sooner than they
+    would reach the light, and so do not meet the plate."""
+    scene = build.scene(build.quad(build.level(2, 0.9), "plate"), build.light(build.level(0.4, 1, up=False)))
+    coeffs, visible = transfer_at(scene, [[4, 0, 0], [0, 0, -4]], [[0, 1, 0], [0, 1, 0]], 4, 256, margin)
+    np.testing.assert_array_equal(visible, 0)
+    np.testing.assert_array_equal(coeffs, 0)
 
 
 def test_what_is_behind_the_light_does_not_matter(build):
@@ -127,7 +138,7 @@ def half_covered(build, height):
     return scene, points
 
 
-def radiance_by_area(points, height, order=None, n=400):
+def radiance_by_area(points, height, n=400):
     """Truth: ``int V cos / pi dw`` of the light seen past the plate, by midpoints over the light's area."""
     u = (np.arange(n) + 0.5) / n * 0.8 - 0.4
     q = np.stack([g.ravel() for g in np.meshgrid(u, [1.0], u, indexing="ij")], axis=1)
@@ -140,7 +151,7 @@ def radiance_by_area(points, height, order=None, n=400):
     return np.array(truth)
 
 
-@pytest.mark.parametrize("height, order, bound", [(0.3, 8, 0.07), (0.7, 8, 0.07), (0.7, 4, 0.12)])
+@pytest.mark.parametrize("height, order, bound", [(0.3, 8, 0.03), (0.7, 8, 0.045), (0.7, 4, 0.14)])
 def test_penumbra(build, height, order, bound):
     """Transfer times light, through the penumbra of a straight edge. The error is the band limit of the shadow's edge, so it falls with
     the order; as a part of the full light's radiance it is bounded by what was measured, times 1.5."""
@@ -150,10 +161,9 @@ def test_penumbra(build, height, order, bound):
     light = build.level(0.8, 1, up=True).astype(float)
     shaded = np.array([c @ reference.coefficients_quadrature(light, p, order, 16) for c, p in zip(coeffs, points)])
     truth = radiance_by_area(points, height)
-    assert truth.max() > 0.1 and truth.min() == 0 and ((truth > 0.2 * truth.max()) & (truth < 0.8 * truth.max())).any()
-    error = np.abs(shaded - truth) / truth.max()
-    print("penumbra", height, order, error.max(), error.mean())
-    assert error.max() < bound
+    assert truth.min() < 0.01 * truth.max()
+    assert ((truth > 0.1 * truth.max()) & (truth < 0.9 * truth.max())).sum() >= 3
+    assert np.abs(shaded - truth).max() / truth.max() < bound
 
 
 OUTLINES = {
@@ -201,7 +211,7 @@ def unit(v):
 
 
 def nearest(loops, x, n, d, margin=0.0):
-    lights = BakeLights([edges_of(loops)], NORMAL[None], margin, False)
+    lights = BakeLights([SimpleNamespace(outline=edges_of(loops), normal=NORMAL)], margin)
     wide = lambda kind, v: kind(*np.broadcast_to(v, d.shape).T.copy())
     q, distance, farthest, found = lights.nearest((mi.UInt32(0), mi.UInt32(1)), wide(mi.Point3f, x), wide(mi.Normal3f, n), wide(mi.Vector3f, d))
     dr.eval(q, distance, farthest, found)
@@ -281,8 +291,8 @@ def test_conflict_of_lights_behind_each_other(build):
     with pytest.warns(UnsupportedSceneWarning, match="behind each other"):
         transfer = bake_transfer(build.scene(*five_lights(build, True)), 1, samples=256, max_edge=0.5)
     assert transfer.groups.tolist() == [0, 5]
-    solid_angle_part = 0.4 ** 2 / math.pi
-    assert 0.2 * solid_angle_part < transfer.conflict < solid_angle_part
+    far_light = 0.4 ** 2 / 3 ** 2 / math.pi            # its part of the hemisphere: one or two of the 256 rays
+    assert 0.3 * far_light < transfer.conflict < 3 * far_light
 
 
 @pytest.mark.parametrize("lights, blocker", [(5, False), (4, True)])
@@ -309,8 +319,6 @@ def test_points_inside_a_body(build):
                         build.light(build.level(0.5, 4, up=False)))
     transfer = bake_transfer(scene, 2, samples=64, max_edge=0.36)
     floor = transfer.meshes[0]
-    from mi_shlight.scene import mesh_arrays
-    from mi_shlight.transfer.mesh import refine
     positions = refine(*mesh_arrays(next(s for s in scene.shapes() if s.id() == "floor")), 0.36).positions
     reach = np.abs(positions[:, [0, 2]]).max(axis=1)
     under, open_ = reach < 0.39, reach > 0.42
