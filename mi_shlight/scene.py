@@ -1,6 +1,7 @@
 """What the SH renderer needs to know of a Mitsuba scene: its polygonal lights and its diffuse receivers."""
 from __future__ import annotations
 
+import copy
 import hashlib
 import warnings
 from dataclasses import dataclass, field
@@ -54,38 +55,63 @@ class Receiver:
     two_sided: bool
     black: bool
     """True if the BSDF has no diffuse part: the SH renderer shows the shape black."""
+    light: int
+    """Position among the scene's emitting shapes; -1 if it does not emit."""
+
+    @property
+    def baked(self) -> bool:
+        """True if per-vertex transfer applies to the shape."""
+        return self.shape.is_mesh() and not self.black
+
+    @property
+    def content(self) -> str:
+        """Key of the shape in a bake: its geometry and lit sides. A light may move, so it goes by its place among the lights."""
+        if self.light >= 0:
+            faces = np.array(self.shape.faces_buffer())
+            return hashlib.sha256(f"light {self.light} {self.two_sided}".encode() + faces.tobytes()).hexdigest()
+        return content_hash(self.shape, self.two_sided)
 
 
 def mesh_arrays(mesh) -> tuple:
-    """Faces (F, 3) int64, positions (V, 3) float32 and vertex normals (V, 3) or None of a Mitsuba mesh, as numpy copies."""
+    """Faces (F, 3) int64, positions (V, 3) float32, vertex normals (V, 3) or None, and side of a Mitsuba mesh, as numpy copies.
+
+    `side` is -1 where ``flip_normals`` turns the surface inside out, which the normals given here already include, else 1.
+    """
     faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
     positions = np.array(dr.detach(mesh.vertex_positions_buffer())).reshape(-1, 3)
     normals = np.array(dr.detach(mesh.vertex_normals_buffer())).reshape(-1, 3) if mesh.has_vertex_normals() else None
-    return faces, positions, normals
+    side = -1.0 if mesh.has_flipped_normals() else 1.0
+    return faces, positions, None if normals is None else side * normals, side
 
 
 def shape_name(shape) -> str:
-    """The id a user gave the shape, or its class when it has none."""
-    return shape.id() or f"<unnamed {shape.class_name()}>"
+    """The id a user gave the shape, or its class and place when it has none."""
+    if shape.id():
+        return shape.id()
+    centre = ", ".join(f"{v:.4g}" for v in shape.bbox().center())
+    return f"<unnamed {shape.class_name()} at ({centre})>"
 
 
-def fingerprint(scene) -> list:
-    """Identity of all geometry in the scene, cheap to compare: [(shape, detached vertex buffer or None)].
+class Fingerprint:
+    """Identity of a scene's shapes, cheap to compare between two renders.
 
-    A Dr.Jit variable index names one immutable content as long as somebody holds the variable, so equal indices mean that
-    nothing moved.
+    A Dr.Jit variable index names one immutable content as long as somebody holds the variable; equal indices mean that nothing moved.
     """
-    held = []
-    for shape in scene.shapes():
-        buffer = dr.detach(shape.vertex_positions_buffer()) if shape.is_mesh() else None
-        held.append((shape, buffer))
-    return held
 
+    def __init__(self, scene):
+        self._held = []
+        self.geometry, self.lights = [], []
+        for shape in scene.shapes():
+            (self.lights if shape.is_emitter() else self.geometry).append((shape_index(shape), self._content(shape)))
 
-def same_fingerprint(a: list, b: list) -> bool:
-    """True if no shape was added, removed or moved between two fingerprints."""
-    key = lambda held: [(shape_index(s), None if v is None else v.index) for s, v in held]
-    return key(a) == key(b)
+    def _content(self, shape) -> tuple:
+        if not shape.is_mesh():
+            return (content_hash(shape, False),)
+        buffers = [dr.detach(shape.vertex_positions_buffer()), shape.faces_buffer()]
+        if shape.has_vertex_normals():
+            buffers.append(dr.detach(shape.vertex_normals_buffer()))
+        self._held += buffers
+        return tuple(b.index for b in buffers)
 
 
 def shape_index(shape) -> int:
@@ -120,19 +146,26 @@ def polygon_lights(scene, complain=warn) -> list:
     """
     lights = []
     for shape in scene.shapes():
-        if shape.is_emitter():
-            kind = shape.class_name()
-            if not shape.is_mesh():
-                complain(f"emitter on shape '{shape_name(shape)}' ({kind}): only planar meshes and rectangles can be projected. "
-                                  "Replace it by a polygon of the same area, or render it with Mitsuba's 'path'.")
-                continue
+        if not shape.is_emitter():
+            continue
+        emitter, name = shape.emitter(), shape_name(shape)
+        if type(emitter).__name__ != "SHLight" and emitter.class_name() != "AreaLight":
+            complain(f"emitter of shape '{name}' ({emitter.class_name()}): only 'shlight' and 'area' can be projected. It does not light "
+                     "surfaces in this picture; replace it, or render with Mitsuba's 'path'.")
+        elif not shape.is_mesh():
+            complain(f"emitter on shape '{name}' ({shape.class_name()}): only planar meshes and rectangles can be projected. It does not "
+                     "light surfaces in this picture; replace it by a polygon of the same area, or render with Mitsuba's 'path'.")
+        elif "MeshAttribute" in str(emitter):
+            complain(f"emitter on shape '{name}': its radiance is a mesh attribute, which cannot be averaged. It does not light surfaces in "
+                     "this picture; give it a uniform radiance or a bitmap.")
+        else:
             lights.append(_polygon_light(shape))
             if lights[-1].textured:
-                complain(f"texture of emitter '{shape_name(shape)}': the light is taken as uniform with the texture's mean radiance.")
+                complain(f"texture of emitter '{name}': the light is taken as uniform with the texture's mean radiance.")
     for emitter in scene.emitters():
         if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-            complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. "
-                              "Its light is missing in the picture; remove it, or render with Mitsuba's 'path'.")
+            complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. It does not light "
+                     "surfaces in this picture; remove it, or render with Mitsuba's 'path'.")
     if not lights:
         raise ValueError("shprt: 'scene' must have at least one polygonal area light, got none. Put <emitter type=\"shlight\"> or "
                          "<emitter type=\"area\"> inside a rectangle or a planar mesh.")
@@ -143,14 +176,17 @@ def receivers(scene, complain=warn) -> list:
     """All shapes of the scene that can be lit; `complain` is called with a sentence about each BSDF that is not plainly
     diffuse.
     """
-    found, seen = [], set()
+    found, seen, emitting = [], set(), 0
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         two_sided, black, complaint = _diffuse_support(bsdf)
         if complaint and (complaint, bsdf.id()) not in seen:
             seen.add((complaint, bsdf.id()))
             complain(f"BSDF '{bsdf.id()}' of shape '{shape_name(shape)}' ({bsdf.class_name()}): {complaint}")
-        found.append(Receiver(shape_name(shape), shape, two_sided, black))
+        if shape.is_emitter():                        # Mitsuba gives lights without a <bsdf> a black one
+            black = black or _reflects_nothing(bsdf)
+        found.append(Receiver(shape_name(shape), shape, two_sided, black, emitting if shape.is_emitter() else -1))
+        emitting += shape.is_emitter()
     return found
 
 
@@ -191,49 +227,84 @@ def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
 
 
 def _polygon_light(shape) -> PolygonLight:
-    faces, positions, _ = mesh_arrays(shape)
+    faces, positions, _, _ = mesh_arrays(shape)
     positions = positions.astype(np.float64)
-    name = shape_name(shape)
     corners = positions[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = areas.sum(axis=0)
     length = np.linalg.norm(normal)
     extent = np.ptp(positions, axis=0).max() if len(positions) else 0.0
-    start, end = boundary_edges(faces, positions) if len(faces) else (np.zeros(0, int),) * 2
-    points = corners.reshape(-1, 3)
-    offset = np.abs((points - points.mean(axis=0)) @ (normal / length)).max() if length > 0 else np.inf
-    if not np.isfinite(positions).all() or extent == 0 or offset > PLANARITY * extent or len(start) < 3:
-        worst = "no area" if not np.isfinite(offset) else f"vertices up to {offset / extent:.3g} of the light's extent off its plane"
-        raise ValueError(f"shprt: light '{name}' must be a planar polygon (vertices within {PLANARITY:g} of its extent of one "
-                         f"plane), got {worst}. Split it into planar lights, one shape each, or flatten it.")
+    fault = None
+    if not np.isfinite(positions).all() or extent == 0 or not length > 0:
+        fault = "a closed one or one without area"
+    else:
+        normal /= length
+        points = corners.reshape(-1, 3)
+        offset = np.abs((points - points.mean(axis=0)) @ normal).max() / extent
+        start, end = boundary_edges(faces, positions)
+        if offset > PLANARITY:
+            fault = f"vertices up to {offset:.3g} of its extent off the plane"
+        elif (areas @ normal < 0).any():
+            fault = "faces wound both ways"
+        elif len(start) < 3:
+            fault = "one without an outline"
+    if fault:
+        raise ValueError(f"shprt: light '{shape_name(shape)}' must be a planar polygon (all faces wound the same way, vertices within "
+                         f"{PLANARITY:g} of its extent of one plane), got {fault}. Split it into planar lights, one shape each, or "
+                         "repair its mesh.")
     emitter = shape.emitter()
     textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
-    return PolygonLight(name, shape, emitter, end, start, positions, normal / length, textured)
+    # Mitsuba decides which side emits: flip_normals and mirroring transforms turn it away from the winding.
+    if np.ravel(np.array(shape.sample_position(0, mi.Point2f(0.5)).n)) @ normal > 0:
+        start, end = end, start
+    else:
+        normal = -normal
+    return PolygonLight(shape_name(shape), shape, emitter, start, end, positions, normal, textured)
 
 
 def _diffuse_support(bsdf) -> tuple:
     """(two-sided, black, complaint): how much of a BSDF the diffuse SH renderer reproduces."""
     kind, flags = bsdf.class_name(), bsdf.flags()
+    has = lambda flags, *wanted: all(mi.has_flag(flags, w) for w in wanted)
     lobes = [bsdf.flags(i) for i in range(bsdf.component_count())]
-    two_sided = any(mi.has_flag(lobe, mi.BSDFFlags.BackSide) and mi.has_flag(lobe, mi.BSDFFlags.DiffuseReflection) for lobe in lobes)
-    diffuse = mi.has_flag(flags, mi.BSDFFlags.DiffuseReflection)
-    smooth = mi.has_flag(flags, mi.BSDFFlags.Glossy) or mi.has_flag(flags, mi.BSDFFlags.Delta)
-    if not diffuse:
+    two_sided = any(has(lobe, mi.BSDFFlags.BackSide, mi.BSDFFlags.DiffuseReflection) for lobe in lobes)
+    specular = has(flags, mi.BSDFFlags.Glossy) or has(flags, mi.BSDFFlags.Delta)
+    if not has(flags, mi.BSDFFlags.DiffuseReflection):
         return False, True, "it has no diffuse reflection and is rendered black."
-    if smooth:
+    if has(flags, mi.BSDFFlags.Null):
+        return False, True, "opacity is not modelled; it is rendered black."
+    if kind == "BlendBSDF" and specular:
+        return False, True, "a blend with a specular part has no diffuse reflectance to ask for; it is rendered black."
+    if "Principled" in str(bsdf):
+        return two_sided, False, "rendered as a diffuse surface of its base colour, too bright for metals; the rest is left out."
+    if specular:
         return two_sided, False, "only its diffuse reflection is rendered, the specular part is left out."
-    if kind not in ("SmoothDiffuse", "TwoSidedBRDF"):
-        return two_sided, False, ("rendered as a plain diffuse surface with its diffuse reflectance; perturbed normals and opacity "
-                                  "are left out.")
+    if kind not in ("SmoothDiffuse", "TwoSidedBRDF", "BlendBSDF"):
+        return two_sided, False, "rendered with its diffuse reflectance; perturbed normals are left out."
     return two_sided, False, None
 
 
+def _reflects_nothing(bsdf) -> bool:
+    """True if the diffuse reflectance is zero at 64 scattered texture coordinates."""
+    si = dr.zeros(mi.SurfaceInteraction3f, 64)
+    index = dr.arange(mi.Float, 64)
+    si.uv = mi.Point2f(index * 0.7548777 - dr.floor(index * 0.7548777), index * 0.5698403 - dr.floor(index * 0.5698403))
+    si.wi = mi.Vector3f(0, 0, 1)
+    if mi.is_spectral:
+        si.wavelengths = mi.sample_shifted(index / 64) * (mi.MI_CIE_MAX - mi.MI_CIE_MIN) + mi.MI_CIE_MIN
+    return not dr.any(mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si)) != 0, axis=None)
+
+
 class LightTable:
-    """Lights of a scene as flat Dr.Jit buffers for symbolic loops; vertex positions and radiance stay differentiable."""
+    """Lights of a scene as flat Dr.Jit buffers for symbolic loops.
+
+    What depends on the geometry alone is made once; :py:meth:`attached` adds what a user may change or differentiate between renders.
+    """
 
     def __init__(self, lights: list):
         self.count = len(lights)
+        self._lights = lights
         offsets = np.cumsum([0] + [light.shape.vertex_count() for light in lights])
-        self.positions = dr.concat([light.shape.vertex_positions_buffer() for light in lights])
         self.start = _index(np.concatenate([light.start + o for light, o in zip(lights, offsets)]))
         self.end = _index(np.concatenate([light.end + o for light, o in zip(lights, offsets)]))
         self.first_edge = _index(np.cumsum([0] + [len(light.start) for light in lights]))
@@ -242,8 +313,16 @@ class LightTable:
         self.normal = flat([light.normal for light in lights])
         self._emitters = _index([dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(light.emitter))[0] for light in lights])
         self._samples = RADIANCE_SAMPLES if any(light.textured for light in lights) else 1
-        self._surface = self._surface_points(lights)
-        self._radiance = None if mi.is_spectral else dr.ravel(self._mean_radiance(dr.arange(mi.UInt32, self.count), None))
+        self._surface = self._surface_points()
+        self.positions = self._radiance = None
+
+    def attached(self) -> "LightTable":
+        """A copy with the current vertex positions and radiance, which carry derivatives if derivatives are on."""
+        table = copy.copy(self)
+        table.positions = dr.concat([light.shape.vertex_positions_buffer() for light in self._lights])
+        if not mi.is_spectral:
+            table._radiance = dr.ravel(self._mean_radiance(dr.arange(mi.UInt32, self.count), None))
+        return table
 
     def edge_range(self, light):
         """First edge of light number `light` and one past its last."""
@@ -263,16 +342,15 @@ class LightTable:
             return self._mean_radiance(light, wavelengths)
         return dr.gather(_spectrum_type(), self._radiance, light)
 
-    def _surface_points(self, lights):
+    def _surface_points(self) -> dict:
         """Area-uniform stratified points of each light as a flat table: what a radiance texture is looked up with."""
         side = int(self._samples ** 0.5)
-        shape = dr.repeat(_index([shape_index(light.shape) for light in lights]), self._samples)
-        cell = dr.tile(dr.arange(mi.UInt32, self._samples), self.count)
+        cell = dr.arange(mi.UInt32, self._samples)
         sample = (mi.Point2f(cell % side, cell // side) + 0.5) / side
-        points = dr.reinterpret_array(mi.ShapePtr, shape).sample_position(0, sample)
-        table = {"p": dr.ravel(points.p), "n": dr.ravel(points.n), "uv": dr.ravel(points.uv)}
-        dr.eval(table)
-        return dr.detach(table)
+        points = [light.shape.sample_position(0, sample) for light in self._lights]
+        broadcast = lambda v: v + dr.zeros(type(v), self._samples)
+        return {name: aligned(mi.Float, np.concatenate([np.array(broadcast(getattr(p, name))).T.ravel() for p in points]))
+                for name in ("p", "n", "uv")}
 
     def _mean_radiance(self, light, wavelengths):
         def body(i, total, light, wavelengths):
@@ -293,6 +371,19 @@ class LightTable:
             return body(*state)[1]
         return dr.while_loop(state, lambda i, *_: i < self._samples, body, mode="symbolic",
                              max_iterations=-1)[1] / self._samples
+
+
+def aligned(kind, values: np.ndarray):
+    """Device copy of a numpy array. Dr.Jit would alias numpy's memory, whose alignment changes and doubles the kernels in the
+    cache.
+    """
+    dtype = {mi.Float: np.float32, mi.UInt32: np.uint32}[kind]
+    source = kind(np.ascontiguousarray(values, dtype=dtype))
+    copy = dr.zeros(kind, len(values))
+    dr.scatter(copy, source, dr.arange(mi.UInt32, len(values)))
+    dr.eval(copy)
+    dr.sync_thread()
+    return copy
 
 
 def _index(values) -> "mi.UInt32":

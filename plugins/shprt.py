@@ -93,12 +93,12 @@ import numpy as np
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
 from ..light.polygon import EdgeBuffer
 from ..light.project import METHODS, edge_shader, project_edges
-from ..scene import LightTable, fingerprint, polygon_lights, receivers, refuse, same_fingerprint, shape_index, warn
+from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
 from ..transfer.bake import trace_transfer
 from ..transfer.cosine import cosine_transfer
 from ..transfer.store import load_transfer
-from ..transfer.visibility import BakeLights, light_groups, occluder_scene, shadowed_transfer
+from ..transfer.visibility import BakeLights, Occluders, light_groups, shadowed_transfer
 from .shlight import check_attached
 
 DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
@@ -137,10 +137,10 @@ def read_parameters(props) -> dict:
 
 
 class SceneState:
-    """What the integrator keeps of a scene between renders: everything that stays as long as no geometry moves."""
+    """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
-    def __init__(self, scene, strict: bool, held: list):
-        self.held = held
+    def __init__(self, scene, strict: bool, seen: Fingerprint):
+        self.seen = seen
         complain = refuse if strict else warn
         self.lights = polygon_lights(scene, complain)
         self.receivers = receivers(scene, complain)
@@ -150,9 +150,10 @@ class SceneState:
             table[:, shape_index(r.shape)] = r.two_sided, r.black
         self.size = size
         self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
-        self.all_meshes = all(r.shape.is_mesh() for r in self.receivers)
+        self.all_baked = all(r.baked or r.black for r in self.receivers)
         self.groups = light_groups(len(self.lights))
-        self.occluders = occluder_scene(scene)
+        self.occluders = Occluders(scene, self.lights)
+        self.table = LightTable(self.lights)
         self.bake_lights = BakeLights(self.lights, 0.0)
         self.lookup = None
 
@@ -179,8 +180,6 @@ def build():
         def __init__(self, props):
             self._parameters = read_parameters(props)
             super().__init__(mi.Properties("shprt"))
-            for name, value in self._parameters.items():
-                setattr(self, name, value)
             self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
             if self._transfer is not None and self._transfer.order < self.order:
                 rule = f"be at most {self._transfer.order}, the order of '{self.transfer_file}'"
@@ -205,28 +204,33 @@ def build():
 
             `progress`: as in :py:func:`mi_shlight.bake_transfer`.
             """
-            held = fingerprint(scene)
-            if self._state is None or not same_fingerprint(self._state.held, held):
+            seen = Fingerprint(scene)
+            old = self._state
+            if old is None or (old.seen.geometry, old.seen.lights) != (seen.geometry, seen.lights):
                 check_attached(scene)
-                self._state = SceneState(scene, self.strict, held)
+                self._state = SceneState(scene, self.strict, seen)
             if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             if self._state.lookup is None:
-                self._transfer = self._current_transfer(scene, progress)
-                self._state.lookup = self._transfer.look_up(scene)
+                same_geometry = old is not None and old.seen.geometry == seen.geometry
+                transfer = self._current_transfer(scene, same_geometry, progress)
+                keep = same_geometry and transfer is self._transfer and old.lookup is not None
+                self._state.lookup = old.lookup if keep else transfer.look_up(scene)
+                self._transfer = transfer
             return self._transfer
 
-        def _current_transfer(self, scene, progress):
+        def _current_transfer(self, scene, same_geometry, progress):
             """The transfer at hand if it still fits the scene, otherwise a new bake."""
             baked = self._transfer
-            if baked is not None and self.transfer_file:
+            if baked is not None and self.transfer_file and not same_geometry:
                 baked.check(scene)
-            if baked is not None and (self.transfer_file or baked.fits(scene)):
+            if baked is not None and (self.transfer_file or same_geometry or baked.fits(scene)):
                 distance = moved(baked.outlines, [light.outline for light in self._state.lights])
                 if distance <= baked.light_margin:
                     return baked
                 text = (f"shprt: a light has moved by {distance:.4g} since the transfer was baked, more than light_margin = "
-                        f"{baked.light_margin:g}. Raise light_margin to keep a bake while lights move")
+                        f"{baked.light_margin:g}. Raise light_margin to keep a bake while lights move" if distance < float("inf")
+                        else "shprt: the lights, or their order, are not those the transfer was baked for")
                 if self.strict:
                     raise ValueError(f"{text} (an error because 'strict' is true).")
                 warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
@@ -240,7 +244,7 @@ def build():
                 pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
-                table = LightTable(self._state.lights)
+                table = self._state.table.attached()
                 reflected = self._reflected(table, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
                 aovs = self._coefficients(table, si, valid) if self.coefficients else []
@@ -266,13 +270,13 @@ def build():
                 lookup = state.lookup
                 rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
                 traced = lit & ~baked
-            if lookup is None or not state.all_meshes:
+            if lookup is None or not state.all_baked:
                 shift = sampler.next_2d(lit)
                 samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
             def transfer_of(g, first, last):
                 coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
-                if lookup is None or not state.all_meshes:
+                if lookup is None or not state.all_baked:
                     by_rays = shadowed_transfer(state.occluders, state.bake_lights, (first, last), p, n, self.order, samples,
                                                 shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
@@ -317,6 +321,9 @@ def build():
 
             start = (mi.UInt32(0), [mi.Float(0) for _ in range((self.order + 1) ** 2)], mi.Point3f(si.p))
             return dr.while_loop(start, lambda k, *_: k < table.count, body, mode="symbolic", max_iterations=-1)[1]
+
+    for name in DEFAULTS:                             # read-only: a bake and its tables depend on them
+        setattr(SHPRT, name, property(lambda self, name=name: self._parameters[name]))
 
     def luminance(radiance, wavelengths):
         if mi.is_monochromatic:

@@ -10,11 +10,11 @@ import numpy as np
 
 from .. import __version__
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
-from ..scene import content_hash, mesh_arrays, occluder_hash, polygon_lights, receivers
+from ..scene import mesh_arrays, occluder_hash, polygon_lights, receivers
 from ..sh.basis import check_order
-from .mesh import MAX_ROWS, automatic_edge, refine, spread_to_buried
+from .mesh import MAX_ROWS, MAX_SUBDIVISION, automatic_edge, refine, spread_to_buried, subdivision_of
 from .store import MeshBlock, Transfer
-from .visibility import MAX_GROUPS, BakeLights, inside_a_body, light_groups, occluder_scene, shadowed_transfer
+from .visibility import MAX_GROUPS, BakeLights, Occluders, inside_a_body, light_groups, shadowed_transfer
 
 ROWS_PER_LAUNCH = 8192
 
@@ -37,10 +37,10 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     transfer : str
         ``"shadowed"``. (Unshadowed transfer is analytic and needs no bake.)
     samples : int
-        Rays per baked point, 16 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
+        Rays per baked point, 1 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
     max_edge : float
         Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers'
-        bounding box.
+        bounding box. An edge is cut into at most 256 parts; a warning tells where that is not enough.
     light_margin : float
         Distance, in scene units, by which lights may move before the bake is stale. Visibility is then resolved in the grown
         neighbourhood of each light.
@@ -63,9 +63,11 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
                                 "Load it with mi.load_file(path, optimize=False)."))
     order = check_order(name, order)
     check_choice(name, "transfer", transfer, ("shadowed",), "Unshadowed transfer is analytic: use it directly in 'shprt'.")
-    samples = check_integer(name, "samples", samples, 16, 65536)
+    samples = check_integer(name, "samples", samples, 1, 65536, "It is the number of rays per baked point.")
     max_edge = check_number(name, "max_edge", max_edge, 0, hint="It is a length in scene units; 0 chooses automatically.")
     light_margin = check_number(name, "light_margin", light_margin, 0, hint="It is a length in scene units.")
+    if not (isinstance(progress, bool) or callable(progress)):
+        raise TypeError(message(name, "progress", "be True, False or a callable (done, total)", progress))
     return trace_transfer(scene, polygon_lights(scene), receivers(scene), order, samples, max_edge, light_margin, progress)
 
 
@@ -73,43 +75,68 @@ def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max
                    progress) -> Transfer:
     """:py:func:`bake_transfer` for the lights and receivers already found in `scene`; arguments are not checked."""
     report = _printer() if progress is True else progress or (lambda done, total: None)
+    baked = [r for r in lit if r.baked]
+    max_edge = max_edge or _automatic_edge(lit)
+    groups = np.array(light_groups(len(lights)))
+    _check_size(baked, max_edge, (order + 1) ** 2 * (len(groups) - 1))
     with dr.suspend_grad():
-        points, positions, normals, max_edge = _bake_points(lit, max_edge)
-        groups = np.array(light_groups(len(lights)))
-        outlines = [light.outline for light in lights]
-        bake_lights = BakeLights(lights, light_margin)
-        occluders = occluder_scene(scene)
-        coeffs, visibility, conflict = _trace(occluders, bake_lights, groups, positions, normals, order, samples, report)
-        _clean_contacts(occluders, points, positions, normals, coeffs, visibility)
+        points, positions, normals = _bake_points(baked, max_edge)
+        coeffs, visibility, conflict = _trace(Occluders(scene, lights), BakeLights(lights, light_margin), groups, positions, normals,
+                                              order, samples, report)
+        _clean_contacts(scene, points, positions, normals, coeffs, visibility)
     if conflict > 1e-3:
         warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other "
                       f"with an occluder between; more than {MAX_GROUPS} lights share one visibility, so the farther light shines "
                       "through there.", UnsupportedSceneWarning, stacklevel=3)
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
-    return Transfer(order, "shadowed", samples, coeffs, visibility, groups, outlines, light_margin, max_edge, conflict,
-                    [block for block, _ in points], occluder_hash(scene), versions)
+    return Transfer(order, "shadowed", samples, coeffs, visibility, groups, [light.outline for light in lights], light_margin,
+                    max_edge, conflict, [block for block, _ in points], occluder_hash(scene), versions)
 
 
-def _bake_points(lit: list, max_edge: float) -> tuple:
-    """[(block, refined mesh)], positions (R, 3), normals (R, 3) of all baked points, and the edge length used."""
-    shapes = [(r, *mesh_arrays(r.shape)) for r in lit if r.shape.is_mesh() and not r.shape.is_emitter() and not r.black]
-    if max_edge == 0:
-        corners = np.concatenate([p for _, _, p, _ in shapes]) if shapes else np.zeros((1, 3))
-        max_edge = max(automatic_edge(np.stack([corners.min(axis=0), corners.max(axis=0)])), 1e-30)
+def _automatic_edge(lit: list) -> float:
+    """Default of `max_edge`, with a warning if it is too long for the shadow of some shape."""
+    boxes = np.array([[np.ravel(r.shape.bbox().min), np.ravel(r.shape.bbox().max)] for r in lit if r.light < 0], dtype=float)
+    if not len(boxes):
+        return 1.0
+    edge = max(automatic_edge(np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])), 1e-30)
+    small = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) < edge
+    if small.any():
+        warnings.warn(f"bake_transfer(): {small.sum()} shape(s) are smaller than a baked cell (max_edge = {edge:.3g}, chosen from the size "
+                      "of the scene): their shadows are lost. Set max_edge to less than the smallest shape that matters, or use "
+                      "transfer_domain='pixel'.", UnsupportedSceneWarning, stacklevel=4)
+    return edge
+
+
+def _check_size(baked: list, max_edge: float, floats_per_point: int) -> None:
+    """Raise ValueError before memory is taken for more points than can be held; warn where `max_edge` cannot be reached."""
+    total = 0
+    for receiver in baked:
+        faces, positions, _, _ = mesh_arrays(receiver.shape)
+        _, points, limited = subdivision_of(faces, positions, max_edge)
+        total += points * (1 + receiver.two_sided)
+        if limited:
+            warnings.warn(f"bake_transfer(): mesh '{receiver.name}' has faces too large for max_edge = {max_edge:.3g}: an edge is cut into at "
+                          f"most {MAX_SUBDIVISION} parts. Subdivide the mesh where detail matters, or use transfer_domain='pixel'.",
+                          UnsupportedSceneWarning, stacklevel=4)
+        if total > MAX_ROWS or total * floats_per_point >= 2 ** 32:
+            raise ValueError(message("bake_transfer", "max_edge", f"leave at most {MAX_ROWS} points and 2^32 coefficients to bake", max_edge,
+                                     f"With mesh '{receiver.name}' it is {total} points of {floats_per_point} floats. Choose a longer edge, a "
+                                     "lower order, or transfer_domain='pixel'."))
+
+
+def _bake_points(baked: list, max_edge: float) -> tuple:
+    """[(block, refined mesh)], positions (R, 3) and normals (R, 3) of all baked points."""
     blocks, positions, normals, row = [], [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)], 0
-    for receiver, faces, vertices, vertex_normals in shapes:
-        mesh = refine(faces, vertices, vertex_normals, max_edge)
+    for receiver in baked:
+        faces, vertices, vertex_normals, side = mesh_arrays(receiver.shape)
+        mesh = refine(faces, vertices, vertex_normals, max_edge, side)
         count = len(mesh.positions)
-        block = MeshBlock(receiver.name, content_hash(receiver.shape, receiver.two_sided), receiver.two_sided, row, count,
-                          mesh.subdivision, mesh.first, mesh.rows)
+        block = MeshBlock(receiver.name, receiver.content, receiver.two_sided, row, count, mesh.subdivision, mesh.first, mesh.rows)
         blocks.append((block, mesh))
         positions += [mesh.positions] * (1 + receiver.two_sided)
         normals += [mesh.normals, -mesh.normals][:1 + receiver.two_sided]
         row += count * (1 + receiver.two_sided)
-        if row > MAX_ROWS:
-            raise ValueError(message("bake_transfer", "max_edge", f"leave at most {MAX_ROWS} points to bake", max_edge,
-                                     f"Mesh '{receiver.name}' alone has {count}. Choose a longer edge, or transfer_domain='pixel'."))
-    return blocks, np.concatenate(positions), np.concatenate(normals), max_edge
+    return blocks, np.concatenate(positions), np.concatenate(normals)
 
 
 def _trace(occluders, lights, groups, positions, normals, order: int, samples: int, report) -> tuple:
@@ -135,12 +162,12 @@ def _trace(occluders, lights, groups, positions, normals, order: int, samples: i
     return coeffs, visibility, conflict
 
 
-def _clean_contacts(occluders, points, positions, normals, coeffs, visibility) -> None:
+def _clean_contacts(scene, points, positions, normals, coeffs, visibility) -> None:
     """Replace the transfer of points inside solid bodies by that of their visible neighbours, in place."""
     dark = np.flatnonzero((visibility == 0).all(axis=0))
-    if occluders is None or len(dark) == 0:
+    if len(dark) == 0:
         return
-    found = inside_a_body(occluders, _points(mi.Point3f, positions[dark]), _points(mi.Normal3f, normals[dark]))
+    found = inside_a_body(scene, _points(mi.Point3f, positions[dark]), _points(mi.Normal3f, normals[dark]))
     buried = np.zeros(len(positions), bool)
     buried[dark] = np.array(found)
     for block, mesh in points:
@@ -155,7 +182,7 @@ def _points(kind, rows: np.ndarray):
 
 def _hashed_shift(begin: int, count: int):
     """A reproducible shift of the direction set for each point, so that neighbours' errors are independent."""
-    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=dr.arange(mi.UInt64, count) + begin)
+    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=begin)
     return mi.Point2f(generator.next_float32(), generator.next_float32())
 
 

@@ -40,7 +40,16 @@ class BakeMesh:
     rows: np.ndarray
 
 
-def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float) -> BakeMesh:
+def subdivision_of(faces: np.ndarray, positions: np.ndarray, max_edge: float) -> tuple:
+    """Parts k of each face (F,), the number of grid points that makes, and whether the limit of 256 parts was met by any face."""
+    corners = positions[faces].astype(np.float64)
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1, initial=0)
+    parts = np.ceil(longest / max_edge - 1e-6)
+    k = (2 ** np.ceil(np.log2(np.clip(parts, 1, MAX_SUBDIVISION)))).astype(np.uint32)
+    return k, int(((k.astype(np.int64) + 1) * (k.astype(np.int64) + 2) // 2).sum()), bool((parts > MAX_SUBDIVISION).any())
+
+
+def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float, side: float = 1.0) -> BakeMesh:
     """Cut triangles until no edge is longer than `max_edge` (at most 256 parts per edge) and merge equal points.
 
     Parameters
@@ -52,16 +61,17 @@ def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float) -
         Vertex normals; None for flat faces, whose points are then kept apart where faces meet at an angle.
     max_edge : float
         In units of `positions`; ``inf`` keeps the mesh as it is.
+    side : float
+        -1 if the normals of flat faces point against their winding, else 1.
     """
     corners = positions[faces].astype(np.float64)
     if normals is None:
-        flat = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+        flat = side * _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         corner_normals = np.repeat(flat[:, None], 3, axis=1)
     else:
         corner_normals = normals[faces].astype(np.float64)
     longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-    parts = np.clip(np.ceil(longest / max_edge - 1e-6), 1, MAX_SUBDIVISION)
-    subdivision = (2 ** np.ceil(np.log2(parts))).astype(np.uint32)
+    subdivision, _, _ = subdivision_of(faces, positions, max_edge)
     sizes = (subdivision + 1) * (subdivision + 2) // 2
     first = np.concatenate([[0], np.cumsum(sizes.astype(np.int64))])
     points, directions, pulls = (np.empty((first[-1], 3)) for _ in range(3))

@@ -4,7 +4,6 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-import zlib
 from dataclasses import asdict, dataclass, field
 
 import drjit as dr
@@ -13,7 +12,7 @@ import numpy as np
 
 from ..errors import message
 from ..files import check_output, replacing
-from ..scene import content_hash, keep_quiet, occluder_hash, receivers, shape_index
+from ..scene import aligned, keep_quiet, occluder_hash, receivers, shape_index
 
 FORMAT = "mi_shlight transfer"
 FORMAT_VERSION = 1
@@ -111,8 +110,7 @@ class Transfer:
     def check(self, scene) -> None:
         """Raise ValueError unless the bake belongs to the geometry of `scene`."""
         known = {block.content for block in self.meshes}
-        found = [r for r in receivers(scene, keep_quiet) if r.shape.is_mesh() and not r.shape.is_emitter()]
-        strange = [r.name for r in found if content_hash(r.shape, r.two_sided) not in known]
+        strange = [r.name for r in receivers(scene, keep_quiet) if r.baked and r.content not in known]
         if strange or self.occluders != occluder_hash(scene):
             what = (f"these meshes differ or are new: {', '.join(strange[:5])}" if strange
                     else "a shape that can cast shadows was added, removed or moved")
@@ -143,11 +141,15 @@ def load_transfer(path) -> Transfer:
     ValueError
         If it is not a transfer file, is damaged, or was written by an incompatible version. Nothing in the file is executed.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(message("load_transfer", "path", "be the path of a file", path))
     path = os.fspath(path)
     if not os.path.isfile(path):
         raise FileNotFoundError(message("load_transfer", "path", "name an existing file", path,
                                         "Bake one with 'mi-shlight bake SCENE -o FILE'."))
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is of another format")
         with np.load(path, allow_pickle=False) as data:
             header = json.loads(bytes(data["header"]))
             if not isinstance(header, dict) or header.get("format") != FORMAT:
@@ -169,8 +171,8 @@ def load_transfer(path) -> Transfer:
                     or block.rows.max(initial=0) >= max(block.row_count, 1)):
                 raise ValueError(f"the points of mesh '{block.name}' do not fit together")
         return result
-    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path, f"Reason: {error}.")) from None
+    except Exception as error:                        # a damaged archive can make zipfile, zlib and numpy raise anything
+        raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path, f"Reason: {str(error).rstrip('.')}.")) from None
 
 
 class TransferLookup:
@@ -178,8 +180,7 @@ class TransferLookup:
 
     def __init__(self, transfer: Transfer, scene):
         blocks = {block.content: block for block in transfer.meshes}
-        shapes = [(shape_index(r.shape), r, blocks.get(content_hash(r.shape, r.two_sided))) for r in receivers(scene, keep_quiet)
-                  if r.shape.is_mesh() and not r.shape.is_emitter()]
+        shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in receivers(scene, keep_quiet) if r.baked]
         size = 1 + max([shape_index(s) for s in scene.shapes()], default=0)
         self.size = size
         baked, first_face, back = np.zeros(size, bool), np.zeros(size, np.uint32), np.zeros(size, np.uint32)
@@ -195,10 +196,10 @@ class TransferLookup:
             rows.append(block.rows + np.uint32(block.first_row))
             faces += len(block.first)
             points += len(block.rows)
-        join = lambda parts: _aligned(mi.UInt32, np.concatenate(parts) if parts else np.zeros(1, np.uint32))
-        self.baked, self.first_face, self.back = (_aligned(mi.UInt32, table) for table in (baked, first_face, back))
+        join = lambda parts: aligned(mi.UInt32, np.concatenate(parts) if parts else np.zeros(1, np.uint32))
+        self.baked, self.first_face, self.back = (aligned(mi.UInt32, table) for table in (baked, first_face, back))
         self.subdivision, self.first, self.rows = join(subdivision), join(first), join(rows)
-        self.coeffs = _aligned(mi.Float, transfer.coeffs.ravel())
+        self.coeffs = aligned(mi.Float, transfer.coeffs.ravel() if transfer.coeffs.size else np.zeros(transfer.coeffs.shape[2]))
         self.count, self.row_count = transfer.coeffs.shape[2], transfer.coeffs.shape[1]
 
     def rows_at(self, pi, shape, back_side, active) -> tuple:
@@ -208,7 +209,8 @@ class TransferLookup:
         valid &= dr.gather(mi.UInt32, self.baked, number, valid) > 0
         face = pi.prim_index + dr.gather(mi.UInt32, self.first_face, number, valid)
         k = dr.gather(mi.UInt32, self.subdivision, face, valid)
-        u, v = (dr.clip(c, 0, 1) * k for c in dr.detach(pi.prim_uv))
+        # On a miss Mitsuba leaves the coordinates undefined, NaN included.
+        u, v = (dr.clip(dr.select(valid, c, 0), 0, 1) * k for c in dr.detach(pi.prim_uv))
         last = dr.select(k > 0, k, 1) - 1
         i, j = dr.minimum(mi.UInt32(u), last), dr.minimum(mi.UInt32(v), last)
         i = dr.minimum(i, last - j)
@@ -234,16 +236,3 @@ class TransferLookup:
         for b, w in zip(base, weights):
             value = [dr.fma(dr.gather(mi.Float, self.coeffs, b + c, valid), w, t) for c, t in enumerate(value)]
         return value
-
-
-def _aligned(kind, values: np.ndarray):
-    """Device copy of a numpy array. Dr.Jit would alias numpy's memory, whose alignment changes and doubles the kernels in the
-    cache.
-    """
-    dtype = {mi.Float: np.float32, mi.UInt32: np.uint32}[kind]
-    source = kind(np.ascontiguousarray(values, dtype=dtype))
-    copy = dr.zeros(kind, len(values))
-    dr.scatter(copy, source, dr.arange(mi.UInt32, len(values)))
-    dr.eval(copy)
-    dr.sync_thread()
-    return copy

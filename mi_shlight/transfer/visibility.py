@@ -1,8 +1,8 @@
 """Diffuse shadowed transfer at a point, for lights that stand inside the scene.
 
 The papers' visibility is a property of the receiver alone, "does a ray leave the scene". In a closed room every ray hits a
-wall; what is meant is whether anything lies between the point and the light. So emitting shapes never occlude, and a hit counts
-only if it is nearer than the light in that direction.
+wall; what is meant is whether anything lies between the point and the light. So a light's own shape never occludes it, and a
+hit counts only if it is nearer than the light in that direction.
 
 Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their
 visibility is taken from the nearest direction that does hit a light (for a light grown by a margin within which it may move).
@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..light.polygon import direction
+from ..scene import shape_index
 from ..sh.basis import sh_basis
 from .cosine import cosine_transfer
 
@@ -34,16 +35,35 @@ def light_groups(count: int) -> list:
     return list(range(count + 1)) if count <= MAX_GROUPS else [0, count]
 
 
-def occluder_scene(scene):
-    """The scene without its emitting shapes, for visibility rays. None if nothing is left."""
-    shapes = [s for s in scene.shapes() if not s.is_emitter()]
-    if not shapes:
-        return None
-    names = [s.id() for s in shapes]
-    occluders = mi.load_dict({"type": "scene", **{f"shape_{i}": s for i, s in enumerate(shapes)}}, optimize=False)
-    for shape, name in zip(shapes, names):            # load_dict has renamed the shared shapes
-        shape.set_id(name)
-    return occluders
+class Occluders:
+    """What can come between a point and a light: every shape of the scene but the lights of the group in question."""
+
+    def __init__(self, scene, lights: list):
+        self.scene = scene
+        numbers = {shape_index(light.shape): k for k, light in enumerate(lights)}
+        self._none = len(lights)
+        self._size = 1 + max(numbers, default=0)
+        self._light = mi.UInt32([numbers.get(i, self._none) for i in range(self._size)])
+
+    def blocked(self, group, origin, d, distance, active):
+        """True where a ray from `origin` meets a shape before `distance`; it passes through the lights of `group`."""
+        first, last = group
+
+        def body(going, blocked, o, left):
+            ray = mi.Ray3f(o, d)
+            ray.maxt = left
+            pi = self.scene.ray_intersect_preliminary(ray, coherent=False, active=going)
+            hit = going & pi.is_valid()
+            number = dr.reinterpret_array(mi.UInt32, pi.shape)
+            known = hit & (number < self._size)
+            light = dr.select(known, dr.gather(mi.UInt32, self._light, number, known), self._none)
+            own = hit & (light >= first) & (light < last)
+            step = pi.t + (1 + dr.max(abs(o))) * mi.math.RayEpsilon
+            return own & (left > step), blocked | (hit & ~own), dr.select(own, o + d * step, o), left - dr.select(own, step, 0)
+
+        left = dr.minimum(distance * (1 - mi.math.ShadowEpsilon), dr.largest(mi.Float))
+        state = (mi.Bool(active), mi.Bool(False), mi.Point3f(origin), left)
+        return dr.while_loop(state, lambda going, *_: going, body, mode="symbolic")[1]
 
 
 def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, offset, active=True) -> tuple:
@@ -54,8 +74,8 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
 
     Parameters
     ----------
-    occluders : mi.Scene or None
-        What can block the light (:py:func:`occluder_scene`).
+    occluders : Occluders
+        What can block the light.
     lights : BakeLights
         Light polygons and the margin they may move in.
     group : (UInt32, UInt32)
@@ -84,12 +104,11 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
         sin, cos = dr.sincos(angle)
         d = frame.to_world(mi.Vector3f(radius * cos, radius * sin, dr.sqrt(dr.maximum(1 - u, 0))))
         target, distance, farther, any_above = lights.nearest(group, origin, n, d)
-        blocked, hidden = ~any_above, mi.Bool(False)
-        if occluders is not None:
-            blocked |= _blocked(occluders, origin, target, distance, active & any_above)
-            if lights.crowded:
-                behind = active & ~blocked & (farther > distance * (1 + 1e-3))
-                hidden = behind & _blocked(occluders, origin, target, farther, behind)
+        blocked = ~any_above | occluders.blocked(group, origin, target, distance, active & any_above)
+        hidden = mi.Bool(False)
+        if lights.crowded:
+            behind = active & ~blocked & (farther > distance * (1 + 1e-3))
+            hidden = behind & occluders.blocked(group, origin, target, farther, behind)
         v = dr.select(blocked, mi.Float(0), 1)
         basis = sh_basis(d, order)
         weighted = [dr.fma(v, y, w) for y, w in zip(basis, weighted)]
@@ -107,7 +126,7 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
     return [dr.select(visible > 0, c, 0) for c in coeffs], mean, conflict / samples
 
 
-def inside_a_body(occluders, p, n, samples: int = 32):
+def inside_a_body(scene, p, n, samples: int = 32):
     """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid
     body.
 
@@ -119,7 +138,7 @@ def inside_a_body(occluders, p, n, samples: int = 32):
         u = (mi.Float(s) + 0.5) / samples
         sin, cos = dr.sincos(2 * dr.pi * GOLDEN * mi.Float(s))
         d = frame.to_world(mi.Vector3f(dr.sqrt(u) * cos, dr.sqrt(u) * sin, dr.sqrt(1 - u)))
-        si = occluders.ray_intersect(mi.Ray3f(origin, d), mi.RayFlags.Minimal, coherent=False, active=inside)
+        si = scene.ray_intersect(mi.Ray3f(origin, d), mi.RayFlags.Minimal, coherent=False, active=inside)
         return s + 1, inside & si.is_valid() & (dr.dot(si.n, d) > 0), origin
 
     state = (mi.UInt32(0), mi.Bool(True), origin)
@@ -236,9 +255,3 @@ def _distance_on_edge(v_i, v_j, q):
     a, b = dr.norm(dr.cross(v_i, q)), dr.norm(dr.cross(q, v_j))
     t = dr.select(a + b > 0, a / dr.select(a + b > 0, a + b, 1), 0)
     return dr.norm(v_i + t * (v_j - v_i))
-
-
-def _blocked(occluders, origin, d, distance, active):
-    ray = mi.Ray3f(origin, d)
-    ray.maxt = dr.minimum(distance * (1 - mi.math.ShadowEpsilon), dr.largest(mi.Float))
-    return occluders.ray_test(ray, active=active)

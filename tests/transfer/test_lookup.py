@@ -5,9 +5,9 @@ import pytest
 
 mi = pytest.importorskip("mitsuba")
 
-from mi_shlight import bake_transfer  # noqa: E402
-from mi_shlight.scene import mesh_arrays  # noqa: E402
-from mi_shlight.transfer.mesh import RIM, refine  # noqa: E402
+from mi_shlight import bake_transfer
+from mi_shlight.scene import mesh_arrays
+from mi_shlight.transfer.mesh import RIM, refine
 
 BACK = 100.0
 """Added to the x of back points, to tell them from front points."""
@@ -41,7 +41,7 @@ def lookup(room):
     shapes = {shape.id(): shape for shape in room.shapes()}
     rows = []
     for block in transfer.meshes:
-        positions = refine(*mesh_arrays(shapes[block.name]), 0.6).positions
+        positions = refine(*mesh_arrays(shapes[block.name])[:3], 0.6).positions
         assert len(positions) == block.row_count
         rows.append(positions)
         if block.two_sided:
@@ -123,3 +123,16 @@ def test_what_is_not_baked(room, lookup):
     assert names.tolist() == ["ball", "light", None]
     assert not valid.any()
     assert (value == 0).all()
+
+
+def test_misses_with_garbage_coordinates(room, lookup):
+    """The ray tracer leaves the barycentric coordinates of a miss undefined. They must not reach the weights: a NaN there would
+    come through the mask of the picture into the gradients."""
+    pi = room.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0, 9, 30), mi.Vector3f(0, 1, mi.Float([0, 0.1]))))
+    pi.prim_uv = mi.Point2f(mi.Float([dr.nan, 1e30]), mi.Float([-dr.inf, dr.nan]))
+    rows, weights, valid = lookup.rows_at(pi, pi.shape, mi.Bool(False), pi.is_valid())
+    value = lookup.coefficients(rows, weights, valid, mi.UInt32(0), 1)
+    dr.eval(valid, weights, value)
+    assert not np.array(valid).any()
+    assert np.isfinite(np.array(weights)).all()
+    assert (np.array(value) == 0).all()

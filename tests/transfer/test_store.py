@@ -9,7 +9,7 @@ import pytest
 
 mi = pytest.importorskip("mitsuba")
 
-from mi_shlight import bake_transfer, load_transfer  # noqa: E402
+from mi_shlight import bake_transfer, load_transfer
 
 
 def parts(build, lift=0.0, order=(0, 1, 2, 3), colour=0.5, side=1.5):
@@ -56,7 +56,7 @@ def test_round_trip(transfer, file):
 def test_any_name_and_path_type(transfer, tmp_path):
     """The file has the very name that was asked for, whatever its ending, and replaces what was there."""
     target = str(tmp_path / "a bake.transfer")
-    open(target, "w").write("old")
+    (tmp_path / "a bake.transfer").write_text("old")
     transfer.save(target)
     assert os.listdir(tmp_path) == ["a bake.transfer"]
     assert load_transfer(target).order == 2
