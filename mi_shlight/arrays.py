@@ -28,7 +28,7 @@ def vectors3(function: str, **arguments):
     array = _array3(number)
     if array is None:
         name = next(iter(arguments))
-        raise TypeError(message(function, name, _RULE + "s of one backend (llvm, cuda or scalar) and float32 or float64",
+        raise TypeError(message(function, name, _RULE + " of one backend (llvm, cuda or scalar), float32 or float64",
                                 sorted({type(c).__module__ + "." + type(c).__name__ for c in flat}), _HINT))
     build = lambda v: array(*v)
     return [[build(v) for v in p] if isinstance(p, list) else build(p) for p in parts.values()]

@@ -69,20 +69,20 @@ def main(argv=None) -> int:
 
 def _render(arguments) -> None:
     from .exr import write_exr
-    from .rendering import render, sh_integrator
+    from .rendering import check_view, render, sh_integrator
 
     output = check_output("render", "-o", arguments.output, ".exr")
     scene = _load(arguments)
+    _, spp = check_view(scene, arguments.sensor, arguments.spp, arguments.seed)
     integrator = sh_integrator(scene, _overrides(arguments))
     _announce(arguments, scene, integrator)
     start = time.perf_counter()
     integrator.prepare_scene(scene, _progress(arguments, "bake"))
     bake_seconds = time.perf_counter() - start
     start = time.perf_counter()
-    image, names = render(scene, integrator, sensor=arguments.sensor, spp=arguments.spp, seed=arguments.seed,
+    image, names = render(scene, integrator, sensor=arguments.sensor, spp=spp, seed=arguments.seed,
                           progress=_progress(arguments, "render"))
     seconds = time.perf_counter() - start
-    spp = arguments.spp or scene.sensors()[arguments.sensor].sampler().sample_count()
     metadata = {**_metadata(arguments), **integrator.parameters(), "spp": spp, "seed": arguments.seed}
     write_exr(output, {name: image[..., k] for k, name in enumerate(names)}, metadata)
     _say(arguments, f"{output}: {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s after {bake_seconds:.2f} s of preparation")
@@ -185,7 +185,7 @@ def _load(arguments):
         # Mitsuba's merging of meshes would make the order of shapes, and so the noise of an image, differ between runs.
         scene = mi.load_file(str(path), optimize=False, **dict(arguments.define))
     except RuntimeError as error:
-        raise RuntimeError(f"{paragraph(error).rstrip('.!')}. {_loading_hint(str(error), path)}") from None
+        raise RuntimeError(f"{paragraph(error).rstrip('.!?')}. {_loading_hint(str(error), path)}") from None
     if not isinstance(scene, mi.Scene):
         raise ValueError(message(arguments.command, "SCENE", "have a <scene> at its top", arguments.scene,
                                  f"It describes a {type(scene).__name__}."))

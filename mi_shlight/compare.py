@@ -12,7 +12,7 @@ from .errors import check_integer, message
 from .exr import write_exr
 from .files import replacing
 from .panel import draw_panel, require_matplotlib
-from .rendering import render, sh_integrator
+from .rendering import check_view, render, sh_integrator
 
 REPEATS = 3
 
@@ -71,6 +71,7 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, senso
     reference_spp = check_integer("compare", "reference_spp", reference_spp, 2, 2**24)
     seed = check_integer("compare", "seed", seed, 0, 2**32 - 1)
     require_matplotlib()
+    check_view(scene, sensor, spp, seed)
     integrator = sh_integrator(scene) if integrator is None else integrator
 
     def image(what, label, samples, image_seed):

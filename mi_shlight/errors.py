@@ -65,6 +65,8 @@ def check_parameters(plugin: str, props, known, given=None) -> None:
     """Raise ValueError if a Mitsuba plugin was given a parameter that is not in `known`; `given`: names to look at, default all."""
     for name in props.keys() if given is None else given:
         if name not in known:
+            if name.startswith("_arg_"):
+                raise ValueError(message(plugin, "nested object", f"not stand inside '{plugin}'", props.as_string(name), "Remove it."))
             near = difflib.get_close_matches(name, known, n=1)
             hint = f"Did you mean '{near[0]}'?" if near else "Its parameters are " + ", ".join(f"'{k}'" for k in known) + "."
             raise ValueError(message(plugin, name, f"be a parameter of '{plugin}'", props.as_string(name), hint))

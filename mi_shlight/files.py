@@ -32,6 +32,9 @@ def check_output(function: str, argument: str, path, suffix: str = "") -> Path:
         raise ValueError(message(function, argument, f"end in '{suffix}'", str(path), f"Write '{path.with_suffix(suffix)}'."))
     if path.is_dir():
         raise IsADirectoryError(message(function, argument, "be a file name", str(path), "It is a folder: add a file name to it."))
+    if path.exists() and not path.is_file():
+        raise OSError(message(function, argument, "be a regular file or a new one", str(path),
+                              "It is a device or a pipe: choose another name."))
     folder = path.parent
     if not folder.is_dir():
         raise FileNotFoundError(message(function, argument, "lie in an existing folder", str(path),
@@ -44,8 +47,11 @@ def check_output(function: str, argument: str, path, suffix: str = "") -> Path:
 
 @contextmanager
 def replacing(path):
-    """Yield a temporary path beside `path`; it takes the place of `path` on success and is deleted on any exception."""
-    path = Path(path)
+    """Yield a temporary path beside `path`; it takes the place of `path` on success and is deleted on any exception.
+
+    A symbolic link stays: the file that it points to is replaced.
+    """
+    path = Path(path).resolve()
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield temporary

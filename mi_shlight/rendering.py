@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import check_integer
+from .errors import check_integer, message
 
 # One pass holds about this many floats (samples times channels): 512 MiB.
 PASS_FLOATS = 2**27
@@ -40,6 +40,23 @@ def sh_integrator(scene, overrides=None):
     return mi.load_dict({"type": "shprt", **parameters}) if parameters else default
 
 
+def check_view(scene, sensor=0, spp=0, seed=0):
+    """The sensor object and the number of samples per pixel that `render` will use; raises as it does, but before any work."""
+    sensors = scene.sensors()
+    if not sensors:
+        raise ValueError("render(): 'scene' must have a sensor, got none. Add a <sensor> to the scene file.")
+    sensor = sensors[check_integer("render", "sensor", sensor, 0, len(sensors) - 1, "It is the index of a sensor of the scene.")]
+    check_integer("render", "seed", seed, 0, 2**32 - 1)
+    size = [int(n) for n in sensor.film().crop_size()]
+    if min(size) < 1:
+        raise ValueError(message("render", "film size", "be at least 1 x 1 pixels", f"{size[0]} x {size[1]}",
+                                 "Set the film's width and height."))
+    spp = check_integer("render", "spp", spp, 0, 2**24, "0 takes the number of the scene's sampler.")
+    total = spp or sensor.sampler().sample_count()
+    check_integer("render", "sample_count", total, 1, 2**24, "It is the number of samples per pixel of the scene's sampler.")
+    return sensor, total
+
+
 def render(scene, integrator, *, sensor=0, spp=0, seed=0, progress=None):
     """Render an image and name its channels.
 
@@ -73,13 +90,7 @@ def render(scene, integrator, *, sensor=0, spp=0, seed=0, progress=None):
     """
     import mitsuba as mi
 
-    sensors = scene.sensors()
-    if not sensors:
-        raise ValueError("render(): 'scene' must have a sensor, got none. Add a <sensor> to the scene file.")
-    sensor = sensors[check_integer("render", "sensor", sensor, 0, len(sensors) - 1, "It is the index of a sensor of the scene.")]
-    spp = check_integer("render", "spp", spp, 0, 2**24, "0 takes the number of the scene's sampler.")
-    seed = check_integer("render", "seed", seed, 0, 2**32 - 1)
-    total = spp or sensor.sampler().sample_count()
+    sensor, total = check_view(scene, sensor, spp, seed)
     film = sensor.film()
     width, height = film.crop_size()
     floats = width * height * (5 + len(integrator.aov_names()))

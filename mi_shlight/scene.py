@@ -65,7 +65,9 @@ class Receiver:
 
     @property
     def content(self) -> str:
-        """Key of the shape in a bake: its geometry and lit sides. A light may move, so it goes by its place among the lights."""
+        """Key of the shape in a bake: its geometry and lit sides. A light may move, so it goes by its place among the
+        lights.
+        """
         if self.light >= 0:
             faces = np.array(self.shape.faces_buffer())
             return hashlib.sha256(f"light {self.light} {self.two_sided}".encode() + faces.tobytes()).hexdigest()
@@ -95,7 +97,8 @@ def shape_name(shape) -> str:
 class Fingerprint:
     """Identity of a scene's shapes, cheap to compare between two renders.
 
-    A Dr.Jit variable index names one immutable content as long as somebody holds the variable; equal indices mean that nothing moved.
+    A Dr.Jit variable index names one immutable content as long as somebody holds the variable; equal indices mean that nothing
+    moved.
     """
 
     def __init__(self, scene):
@@ -156,8 +159,8 @@ def polygon_lights(scene, complain=warn) -> list:
             complain(f"emitter on shape '{name}' ({shape.class_name()}): only planar meshes and rectangles can be projected. It does not "
                      "light surfaces in this picture; replace it by a polygon of the same area, or render with Mitsuba's 'path'.")
         elif "MeshAttribute" in str(emitter):
-            complain(f"emitter on shape '{name}': its radiance is a mesh attribute, which cannot be averaged. It does not light surfaces in "
-                     "this picture; give it a uniform radiance or a bitmap.")
+            complain(f"emitter on shape '{name}': its radiance is a mesh attribute, which cannot be averaged. It does not "
+                     "light surfaces in this picture; give it a uniform radiance or a bitmap.")
         else:
             lights.append(_polygon_light(shape))
             if lights[-1].textured:
@@ -298,7 +301,8 @@ def _reflects_nothing(bsdf) -> bool:
 class LightTable:
     """Lights of a scene as flat Dr.Jit buffers for symbolic loops.
 
-    What depends on the geometry alone is made once; :py:meth:`attached` adds what a user may change or differentiate between renders.
+    What depends on the geometry alone is made once; :py:meth:`attached` adds what a user may change or differentiate between
+    renders.
     """
 
     def __init__(self, lights: list):

@@ -8,7 +8,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - order
    - |int|
-   - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. (Default: 8)
+   - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. Above 14 shading is several
+     times slower, and kernels take long to compile: about half a minute at 32. (Default: 8)
 
  * - method
    - |string|
@@ -31,8 +32,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
  * - transfer_file
    - |string|
    - File with a bake of this scene, written by ``mi-shlight bake`` or :py:meth:`mi_shlight.Transfer.save`, relative to the
-     scene's folder. Empty: bake at the first render and keep the result as long as the geometry stays. A file holds its own
-     order, which must not be lower than ``order``. (Default: empty)
+     scene's folder. Empty: bake at the first render and keep the result as long as the geometry stays. The file holds its
+     own order, which must not be lower than ``order``, and its own samples, edge length and margin. (Default: empty)
 
  * - max_edge
    - |float|
@@ -58,7 +59,8 @@ closed form at every shading point and multiplied with the point's transfer vect
 its error is the band limit of the transfer and, for ``vertex``, its interpolation.
 
 Lights are all emitters ``shlight`` and ``area`` on rectangles and planar meshes (holes and concave outlines included). They are
-one-sided, do not cast shadows, and are seen directly with their radiance. A texture on a light is replaced by its mean.
+one-sided and are seen directly with their radiance. A texture on a light is replaced by its mean. Up to four lights each have
+their own visibility, in which the other lights are obstacles; more than four share one, in which no light is.
 
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
 normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.

@@ -12,7 +12,7 @@ from .. import __version__
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
 from ..scene import mesh_arrays, occluder_hash, polygon_lights, receivers
 from ..sh.basis import check_order
-from .mesh import MAX_ROWS, MAX_SUBDIVISION, automatic_edge, refine, spread_to_buried, subdivision_of
+from .mesh import MAX_POINTS, MAX_SUBDIVISION, automatic_edge, refine, spread_to_buried, subdivision_of
 from .store import MeshBlock, Transfer
 from .visibility import MAX_GROUPS, BakeLights, Occluders, inside_a_body, light_groups, shadowed_transfer
 
@@ -54,7 +54,7 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     Raises
     ------
     TypeError, ValueError
-        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 4 million
+        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 16 million
         points to bake.
     """
     name = "bake_transfer"
@@ -78,9 +78,14 @@ def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max
     baked = [r for r in lit if r.baked]
     max_edge = max_edge or _automatic_edge(lit)
     groups = np.array(light_groups(len(lights)))
-    _check_size(baked, max_edge, (order + 1) ** 2 * (len(groups) - 1))
+    _check_size(baked, max_edge)
     with dr.suspend_grad():
         points, positions, normals = _bake_points(baked, max_edge)
+        floats = len(positions) * (len(groups) - 1) * (order + 1) ** 2
+        if floats >= 2 ** 32:                         # the look-up counts them in 32 bits
+            raise ValueError(message("bake_transfer", "max_edge", "leave less than 2^32 coefficients to bake", max_edge,
+                                     f"{len(positions)} points, {len(groups) - 1} light groups and order {order} make {floats}. Choose a "
+                                     "longer edge, a lower order, or transfer_domain='pixel'."))
         coeffs, visibility, conflict = _trace(Occluders(scene, lights), BakeLights(lights, light_margin), groups, positions, normals,
                                               order, samples, report)
         _clean_contacts(scene, points, positions, normals, coeffs, visibility)
@@ -107,21 +112,21 @@ def _automatic_edge(lit: list) -> float:
     return edge
 
 
-def _check_size(baked: list, max_edge: float, floats_per_point: int) -> None:
+def _check_size(baked: list, max_edge: float) -> None:
     """Raise ValueError before memory is taken for more points than can be held; warn where `max_edge` cannot be reached."""
-    total = 0
+    total, coarse = 0, []
     for receiver in baked:
         faces, positions, _, _ = mesh_arrays(receiver.shape)
         _, points, limited = subdivision_of(faces, positions, max_edge)
         total += points * (1 + receiver.two_sided)
-        if limited:
-            warnings.warn(f"bake_transfer(): mesh '{receiver.name}' has faces too large for max_edge = {max_edge:.3g}: an edge is cut into at "
-                          f"most {MAX_SUBDIVISION} parts. Subdivide the mesh where detail matters, or use transfer_domain='pixel'.",
-                          UnsupportedSceneWarning, stacklevel=4)
-        if total > MAX_ROWS or total * floats_per_point >= 2 ** 32:
-            raise ValueError(message("bake_transfer", "max_edge", f"leave at most {MAX_ROWS} points and 2^32 coefficients to bake", max_edge,
-                                     f"With mesh '{receiver.name}' it is {total} points of {floats_per_point} floats. Choose a longer edge, a "
-                                     "lower order, or transfer_domain='pixel'."))
+        coarse += [receiver.name] if limited else []
+        if total > MAX_POINTS:
+            raise ValueError(message("bake_transfer", "max_edge", f"leave at most {MAX_POINTS} points to bake", max_edge,
+                                     f"With mesh '{receiver.name}' there are {total}. Choose a longer edge, or transfer_domain='pixel'."))
+    if coarse:
+        warnings.warn(f"bake_transfer(): {len(coarse)} mesh(es), such as '{coarse[0]}', have faces too large for max_edge = "
+                      f"{max_edge:.3g}: an edge is cut into at most {MAX_SUBDIVISION} parts. Subdivide them where detail matters, or "
+                      "use transfer_domain='pixel'.", UnsupportedSceneWarning, stacklevel=4)
 
 
 def _bake_points(baked: list, max_edge: float) -> tuple:

@@ -12,8 +12,8 @@ import numpy as np
 
 MAX_SUBDIVISION = 256
 RIM = 0.05
-MAX_ROWS = 4_000_000
-"""Baked points a scene may have: at order 8, 1.3 GB of transfer."""
+MAX_POINTS = 16_000_000
+"""Grid points of a scene's faces before equal ones merge; they take 2 GB while a bake is set up."""
 
 
 @dataclass
@@ -41,7 +41,9 @@ class BakeMesh:
 
 
 def subdivision_of(faces: np.ndarray, positions: np.ndarray, max_edge: float) -> tuple:
-    """Parts k of each face (F,), the number of grid points that makes, and whether the limit of 256 parts was met by any face."""
+    """Parts k of each face (F,), the number of grid points that makes, and whether the limit of 256 parts was met by any
+    face.
+    """
     corners = positions[faces].astype(np.float64)
     longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1, initial=0)
     parts = np.ceil(longest / max_edge - 1e-6)

@@ -172,7 +172,8 @@ def load_transfer(path) -> Transfer:
                 raise ValueError(f"the points of mesh '{block.name}' do not fit together")
         return result
     except Exception as error:                        # a damaged archive can make zipfile, zlib and numpy raise anything
-        raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path, f"Reason: {str(error).rstrip('.')}.")) from None
+        raise ValueError(message("load_transfer", "path", "name a file written by Transfer.save()", path,
+                                 f"Reason: {str(error).rstrip('.')}.")) from None
 
 
 class TransferLookup:

@@ -12,7 +12,7 @@ from mi_shlight.light.project import edge_shader
 QUAD = np.array([[-0.5, -0.4, 1.2], [0.6, -0.5, 1.0], [0.7, 0.5, 0.8], [-0.4, 0.6, 1.0]])
 CONCAVE = np.array([[-1, -1, 1.5], [1, -1, 1.5], [1, 1, 1.5], [0, -0.2, 1.5], [-1, 1, 1.5]], dtype=float)
 
-# Relative L2 error at order 14 on the generic classes: what the recurrence promises. Float32: rounding of the edge geometry times the lobes' condition.
+# Relative L2 error at order 14 on the generic classes. Float32: rounding of the edge geometry times the lobes' condition.
 PROMISED = {6e-8: 5e-6, 1.2e-16: 1e-12}
 GENERIC = ("triangle", "quad", "heptagon", "star", "axis-aligned")
 

@@ -7,7 +7,8 @@ import pytest
 
 mi = pytest.importorskip("mitsuba")
 
-from shprt_scenes import GREY, QUICK, SQUARE, block, camera, direct, emitter, floor, integrator, level, light, mean_error, render, scene  # noqa: E402
+from shprt_scenes import (  # noqa: E402
+    GREY, QUICK, SQUARE, block, camera, direct, emitter, floor, integrator, level, light, mean_error, render, scene)
 
 from mi_shlight import bake_transfer  # noqa: E402
 from mi_shlight.errors import StaleTransferWarning, UnsupportedSceneWarning  # noqa: E402
@@ -51,8 +52,8 @@ def test_receiver_turned_inside_out(face_normals):
 
 
 def test_black_shape_does_not_spoil_a_bake(tmp_path):
-    what = scene(floor=floor(), light=light(), mirror={"type": "cube", "to_world": mi.ScalarTransform4f().translate([1.4, 0.2, -1]).scale(0.2),
-                                                        "bsdf": {"type": "conductor"}})
+    away = mi.ScalarTransform4f().translate([1.4, 0.2, -1]).scale(0.2)
+    what = scene(floor=floor(), light=light(), mirror={"type": "cube", "to_world": away, "bsdf": {"type": "conductor"}})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnsupportedSceneWarning)
         baked = bake_transfer(what, 3, samples=32, max_edge=1.0)
@@ -81,7 +82,8 @@ def test_light_in_the_shadow_of_another():
 def test_instances():
     """A shape group is not baked: its hits are shaded by rays, and it casts shadows."""
     group = {"type": "shapegroup", "box": {"type": "cube", "bsdf": GREY}}
-    copy = {"type": "instance", "group": {"type": "ref", "id": "boxes"}, "to_world": mi.ScalarTransform4f().translate([0, 0.2, 0.3]).scale(0.2)}
+    there = mi.ScalarTransform4f().translate([0, 0.2, 0.3]).scale(0.2)
+    copy = {"type": "instance", "group": {"type": "ref", "id": "boxes"}, "to_world": there}
     what = scene(floor=floor(), light=light(), boxes=group, copy=copy)
     names = [s.id() for s in what.shapes()]
     image = render(what, spp=16, order=8, max_edge=0.1, transfer_samples=256)
@@ -102,7 +104,8 @@ def test_reflectance_that_mitsuba_cannot_tell(bsdf, text):
 
 
 def test_blend_of_diffuse_bsdfs_is_diffuse():
-    blend = {"type": "blendbsdf", "weight": 0.25, "a": {"type": "diffuse", "reflectance": 0.8}, "b": {"type": "diffuse", "reflectance": 0.4}}
+    shades = ({"type": "diffuse", "reflectance": value} for value in (0.8, 0.4))
+    blend = {"type": "blendbsdf", "weight": 0.25, **dict(zip("ab", shades))}
     what = scene(floor=floor(bsdf=blend), light=light())
     with warnings.catch_warnings():
         warnings.simplefilter("error", UnsupportedSceneWarning)

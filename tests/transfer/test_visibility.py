@@ -23,8 +23,9 @@ def transfer_at(scene, points, normals, order, samples, margin=0.0):
     lights = polygon_lights(scene)
     bake_lights = BakeLights(lights, margin)
     p, n = (np.asarray(a, float).reshape(-1, 3).T.copy() for a in (points, normals))
-    t, v, _ = shadowed_transfer(Occluders(scene, lights), bake_lights, (mi.UInt32(0), mi.UInt32(len(lights))), mi.Point3f(*p), mi.Normal3f(*n),
-                                order, samples, mi.Point2f(0.5, 0.5))
+    group = mi.UInt32(0), mi.UInt32(len(lights))
+    t, v, _ = shadowed_transfer(Occluders(scene, lights), bake_lights, group, mi.Point3f(*p), mi.Normal3f(*n), order, samples,
+                                mi.Point2f(0.5, 0.5))
     dr.eval(t, v)
     return np.stack([np.array(c) for c in t], axis=1), np.array(v)
 
