@@ -1,7 +1,7 @@
 """Claim: SH shading and path tracing of the same file agree; README's table and pictures.
 
-Runs ``compare`` on the scenes of this repository and on Mitsuba's own ``mi.cornell_box()`` saved as XML, with their own settings, and writes
-panels and reports to ``validation/results/panels/``.
+Runs ``compare`` on the scenes of this repository and on Mitsuba's own ``mi.cornell_box()`` saved as XML, with their own
+settings, and writes panels and reports to ``validation/results/panels/``.
 
     python -m validation.panels [SCENE ...]
 """

@@ -29,16 +29,16 @@ def test_import_alone_leaves_the_variant_unset():
 
 
 def test_variants_switched_back_and_forth_keep_their_classes():
-    assert run(f"""
+    assert run("""
 import mitsuba as mi, mi_shlight
-seen = {{}}
+seen = {}
 for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_spectral', 'llvm_ad_rgb', 'scalar_spectral', 'scalar_rgb', 'llvm_ad_spectral'):
     mi.set_variant(variant)
-    light = mi.load_dict({{'type': 'shlight'}})
+    light = mi.load_dict({'type': 'shlight'})
     assert isinstance(light, mi.Emitter)
     assert seen.setdefault(variant, type(light)) is type(light)
     if not variant.startswith('scalar'):
-        assert isinstance(mi.load_dict({{'type': 'shprt'}}), mi.Integrator)
+        assert isinstance(mi.load_dict({'type': 'shprt'}), mi.Integrator)
 print(len(set(seen.values())))
 """) == ["4"]
 
