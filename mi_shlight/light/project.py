@@ -6,11 +6,20 @@ import drjit as dr
 from ..arrays import vectors3
 from ..errors import check_choice, message
 from ..sh.basis import check_order
+from .edge_frame import MAX_EDGE_ORDER, edge_form_shader, project_edge
 from .polygon import VertexList, interior_direction
 from .recurrence import project_recurrence, recurrence_shader
 
-METHODS = ("auto", "recurrence")
-"""Accepted values of `method`; ``auto`` is the most accurate method at hand, today the only one."""
+METHODS = ("auto", "recurrence", "edge")
+"""Accepted values of `method`; ``auto`` stands for ``recurrence``."""
+
+
+def check_method(function: str, method: str, order: int) -> None:
+    """Raise TypeError/ValueError unless `method` is known and can do `order`."""
+    check_choice(function, "method", method, METHODS)
+    if method == "edge" and order > MAX_EDGE_ORDER:
+        raise ValueError(message(function, "order", f"be at most {MAX_EDGE_ORDER} with method='edge'", order,
+                                 "Use method='recurrence' above."))
 
 
 def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
@@ -30,7 +39,8 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     order : int
         Highest degree, 0 to 64.
     method : str
-        ``"recurrence"``: zonal recurrence of [W18], Algorithm 1. ``"auto"`` chooses; today it means ``recurrence``.
+        ``"recurrence"``: zonal recurrence of [W18], Algorithm 1. ``"edge"``: closed form in each edge's own frame, up to order 20; about
+        twice as fast to run and three times as fast to compile. ``"auto"`` today means ``recurrence``.
 
     Returns
     -------
@@ -40,8 +50,8 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 or `method` is
-        unknown.
+        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 (0..20 for ``edge``) or
+        `method` is unknown.
 
     Notes
     -----
@@ -49,13 +59,15 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     subtracts edge terms, so the error grows like eps / theta for a light of angular size theta.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
-    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN. Differentiable.
+    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN.
+
+    Differentiable by Dr.Jit's autodiff; with ``edge`` not where the plane through `x` and an edge is the x-y plane.
 
     Evaluate wide results together, ``dr.eval(coeffs)``: reading one coefficient after the other would compute each anew.
     """
     name = "project_polygon"
     n = check_order(name, order)
-    check_choice(name, "method", method, METHODS)
+    check_method(name, method, n)
     if not isinstance(vertices, (list, tuple)):
         raise TypeError(message(name, "vertices", "be a list of 3-vectors", vertices, "Example: [mi.Point3f(0, 0, 1), ...]."))
     if len(vertices) < 3:
@@ -79,7 +91,7 @@ def project_edges(edges, x, apex, order: int, method: str = "auto") -> list:
 
     `edges`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
     """
-    return project_recurrence(edges, x, apex, order)
+    return (project_edge if method == "edge" else project_recurrence)(edges, x, apex, order)
 
 
 def edge_shader(transfer: list, order: int, method: str = "auto"):
@@ -87,4 +99,4 @@ def edge_shader(transfer: list, order: int, method: str = "auto"):
 
     What depends on the transfer alone is done here, once for all lights.
     """
-    return recurrence_shader(transfer, order)
+    return (edge_form_shader if method == "edge" else recurrence_shader)(transfer, order)
