@@ -185,7 +185,8 @@ def _load(arguments):
         # Mitsuba's merging of meshes would make the order of shapes, and so the noise of an image, differ between runs.
         scene = mi.load_file(str(path), optimize=False, **dict(arguments.define))
     except RuntimeError as error:
-        raise RuntimeError(f"{paragraph(error).rstrip('.!?')}. {_loading_hint(str(error), path)}") from None
+        text = paragraph(error)
+        raise RuntimeError(f"{text}{'' if text.endswith(('.', '!', '?')) else '.'} {_loading_hint(str(error), path)}") from None
     if not isinstance(scene, mi.Scene):
         raise ValueError(message(arguments.command, "SCENE", "have a <scene> at its top", arguments.scene,
                                  f"It describes a {type(scene).__name__}."))

@@ -246,8 +246,9 @@ def test_info_names_versions_and_llvm():
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_interrupt_leaves_no_file(scene_file, tmp_path):
     arguments = ["render", scene_file(SHPRT), "-o", tmp_path / "out.exr", "--spp", 2**24, "-D", "res=64"]
+    # A shell's background job ignores interrupts, and its children would too.
     process = subprocess.Popen([sys.executable, "-m", "mi_shlight", *map(str, arguments)], stdout=subprocess.PIPE,
-                               stderr=subprocess.PIPE, text=True)
+                               stderr=subprocess.PIPE, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     assert process.stdout.readline().startswith("shprt")  # rendering begins, and would take hours
     time.sleep(1)
     process.send_signal(signal.SIGINT)
