@@ -34,16 +34,6 @@ def vectors3(function: str, **arguments):
     return [[build(v) for v in p] if isinstance(p, list) else build(p) for p in parts.values()]
 
 
-def float_type(vector):
-    """The scalar float type of a 3-vector: ``type(vector.x)``."""
-    return type(vector[0])
-
-
-def mask_type(number):
-    """The comparison type of a float type (``bool`` for Python floats)."""
-    return bool if number is float else dr.mask_t(number)
-
-
 def _is_list_of_vectors(value) -> bool:
     return (isinstance(value, (list, tuple)) and len(value) > 0
             and (isinstance(value[0], (list, tuple)) or getattr(value[0], "__len__", None) is not None

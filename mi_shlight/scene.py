@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .errors import UnsupportedSceneWarning
-from .light.polygon import direction
+from .light.polygon import EdgeBuffer, direction
 
 PLANARITY = 1e-3
 """Largest distance of a light's vertex from the light's plane, relative to the light's extent."""
@@ -328,13 +328,11 @@ class LightTable:
             table._radiance = dr.ravel(self._mean_radiance(dr.arange(mi.UInt32, self.count), None))
         return table
 
-    def edge_range(self, light):
-        """First edge of light number `light` and one past its last."""
-        return dr.gather(mi.UInt32, self.first_edge, light), dr.gather(mi.UInt32, self.first_edge, light + 1)
-
-    def facing(self, light, x):
-        """True where `x` lies on the emitting side of light number `light`."""
-        return dr.dot(dr.gather(mi.Vector3f, self.normal, light), dr.detach(x) - dr.gather(mi.Point3f, self.centroid, light)) > 0
+    def edges(self, light, x, active) -> EdgeBuffer:
+        """Edges of light number `light` for the points that it lights: none where `x` lies behind it or `active` is false."""
+        first, last = dr.gather(mi.UInt32, self.first_edge, light), dr.gather(mi.UInt32, self.first_edge, light + 1)
+        facing = dr.dot(dr.gather(mi.Vector3f, self.normal, light), dr.detach(x) - dr.gather(mi.Point3f, self.centroid, light)) > 0
+        return EdgeBuffer(self.positions, self.start, self.end, first, dr.select(active & facing, last, first))
 
     def apex(self, light, x):
         """Unit vector from `x` towards the light's centroid: apex of the solid angle's fan."""

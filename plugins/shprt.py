@@ -93,7 +93,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
-from ..light.polygon import EdgeBuffer
 from ..light.project import check_method, edge_shader, project_edges
 from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
@@ -214,9 +213,10 @@ def build():
             if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             if self._state.lookup is None:
-                same_geometry = old is not None and old.seen.geometry == seen.geometry
+                # Without a look-up the last attempt failed, and what it found out about the transfer does not count.
+                same_geometry = old is not None and old.lookup is not None and old.seen.geometry == seen.geometry
                 transfer = self._current_transfer(scene, same_geometry, progress)
-                keep = same_geometry and transfer is self._transfer and old.lookup is not None
+                keep = same_geometry and transfer is self._transfer
                 self._state.lookup = old.lookup if keep else transfer.look_up(scene)
                 self._transfer = transfer
             return self._transfer
@@ -297,10 +297,8 @@ def build():
                 shade = edge_shader([dr.detach(t) for t in transfer_of(g, first, last)], self.order, self.method)
 
                 def light_body(k, total, x):
-                    begin, end = table.edge_range(k)
-                    end = dr.select(lit & table.facing(k, x), end, begin)
-                    edges = EdgeBuffer(table.positions, table.start, table.end, begin, end)
-                    return k + 1, total + table.radiance(k, wavelengths) * shade(edges, x, table.apex(k, x)), x
+                    value = shade(table.edges(k, x, lit), x, table.apex(k, x))
+                    return k + 1, total + table.radiance(k, wavelengths) * value, x
 
                 _, total, x = dr.while_loop((first, total, x), lambda k, *_: k < last, light_body, mode="symbolic",
                                             max_iterations=-1)
@@ -314,10 +312,7 @@ def build():
             wavelengths = si.wavelengths
 
             def body(k, total, x):
-                begin, end = table.edge_range(k)
-                end = dr.select(valid & table.facing(k, x), end, begin)
-                edges = EdgeBuffer(table.positions, table.start, table.end, begin, end)
-                coeffs = project_edges(edges, x, table.apex(k, x), self.order, self.method)
+                coeffs = project_edges(table.edges(k, x, valid), x, table.apex(k, x), self.order, self.method)
                 weight = luminance(table.radiance(k, wavelengths), wavelengths)
                 return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
 

@@ -179,3 +179,28 @@ def test_an_edge_limit_that_cannot_be_reached_is_named():
 def test_only_lights():
     lamp = scene(sensor=camera(origin=(0, 0, 0), target=(0, 1.5, 0), fov=10), lamp=light(radiance=(3, 2, 1)))
     np.testing.assert_allclose(render(lamp, **QUICK), np.broadcast_to([3.0, 2.0, 1.0], (16, 16, 3)), rtol=1e-6)
+
+
+def test_a_wrong_file_is_refused_each_time(tmp_path):
+    """A render after a refused one must not take the file for checked."""
+    bake_transfer(scene(floor=floor(), light=light()), 2, samples=16, max_edge=1.0).save(tmp_path / "bake.npz")
+    other, plugin = scene(floor=floor(y=-0.5), light=light()), integrator(order=2, transfer_file=str(tmp_path / "bake.npz"))
+    for _ in range(2):
+        with pytest.raises(ValueError, match="must have the geometry it was baked for"):
+            plugin.prepare_scene(other)
+
+
+def test_a_bake_that_broke_off_is_not_replaced_by_an_old_one():
+    what, plugin = scene(floor=floor(), light=light()), integrator(**QUICK)
+    first = plugin.prepare_scene(what, progress=False)
+    parameters = mi.traverse(what)
+    parameters["floor.vertex_positions"] = parameters["floor.vertex_positions"] * 0.9
+    parameters.update()
+
+    def break_off(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plugin.prepare_scene(what, progress=break_off)
+    second = plugin.prepare_scene(what, progress=False)
+    assert second is not first and second.fits(what)
