@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .errors import UnsupportedSceneWarning
-from .light.polygon import EdgeBuffer, direction
+from .light.polygon import EdgeBuffer, apex_direction, direction
 
 PLANARITY = 1e-3
 """Largest distance of a light's vertex from the light's plane, relative to the light's extent."""
@@ -31,6 +31,9 @@ class PolygonLight:
     end: np.ndarray
     """Vertex indices of each boundary edge. Seen from the emitting side the polygon lies to the right of its edges, which makes
     the solid angle positive for the points it lights."""
+    patches: np.ndarray = field(repr=False)
+    """Four vertex indices for each of the strips (P, 4) that fill the polygon, oriented as the edges; see
+    :py:meth:`mi_shlight.light.polygon.VertexList.fold_patches`."""
     vertices: np.ndarray = field(repr=False)
     """All vertex positions of the mesh, (V, 3) float64, world space."""
     normal: np.ndarray = field(repr=False)
@@ -229,6 +232,23 @@ def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
     return start[boundary], end[boundary]
 
 
+def strips(start: np.ndarray, end: np.ndarray, faces: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Corners (P, 4) of the strips that fill a polygon: cut across from its outline if that is one loop, otherwise its triangles."""
+    _, welded = np.unique(positions, axis=0, return_inverse=True)
+    welded = welded.reshape(-1)
+    following = dict(zip(welded[start].tolist(), range(len(start))))
+    loop, edge = [], 0
+    while len(loop) < len(start):
+        loop.append(int(start[edge]))
+        edge = following.get(int(welded[end[edge]]))
+        if not edge:                                  # back at the first edge, or at a loose end
+            break
+    n = len(loop)
+    if n == len(start) == len(following) and edge == 0:
+        return np.array([(loop[i], loop[i + 1], loop[n - 2 - i], loop[n - 1 - i]) for i in range((n - 1) // 2)])
+    return faces[:, [0, 1, 1, 2]]
+
+
 def _polygon_light(shape) -> PolygonLight:
     faces, positions, _, _ = mesh_arrays(shape)
     positions = positions.astype(np.float64)
@@ -259,10 +279,10 @@ def _polygon_light(shape) -> PolygonLight:
     textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
     # Mitsuba decides which side emits: flip_normals and mirroring transforms turn it away from the winding.
     if np.ravel(np.array(shape.sample_position(0, mi.Point2f(0.5)).n)) @ normal > 0:
-        start, end = end, start
+        start, end, faces = end, start, faces[:, ::-1]
     else:
         normal = -normal
-    return PolygonLight(shape_name(shape), shape, emitter, start, end, positions, normal, textured)
+    return PolygonLight(shape_name(shape), shape, emitter, start, end, strips(start, end, faces, positions), positions, normal, textured)
 
 
 def _diffuse_support(bsdf) -> tuple:
@@ -312,6 +332,8 @@ class LightTable:
         self.start = _index(np.concatenate([light.start + o for light, o in zip(lights, offsets)]))
         self.end = _index(np.concatenate([light.end + o for light, o in zip(lights, offsets)]))
         self.first_edge = _index(np.cumsum([0] + [len(light.start) for light in lights]))
+        self.patches = _index(np.concatenate([light.patches.ravel() + o for light, o in zip(lights, offsets)]))
+        self.first_patch = _index(np.cumsum([0] + [len(light.patches) for light in lights]))
         flat = lambda rows: mi.Float(np.asarray(rows, dtype=np.float64).ravel().tolist())
         self.centroid = flat([light.centroid for light in lights])
         self.normal = flat([light.normal for light in lights])
@@ -329,14 +351,19 @@ class LightTable:
         return table
 
     def edges(self, light, x, active) -> EdgeBuffer:
-        """Edges of light number `light` for the points that it lights: none where `x` lies behind it or `active` is false."""
-        first, last = dr.gather(mi.UInt32, self.first_edge, light), dr.gather(mi.UInt32, self.first_edge, light + 1)
+        """Edges and strips of light number `light` for the points that it lights: none where `x` lies behind it or `active` is false."""
         facing = dr.dot(dr.gather(mi.Vector3f, self.normal, light), dr.detach(x) - dr.gather(mi.Point3f, self.centroid, light)) > 0
-        return EdgeBuffer(self.positions, self.start, self.end, first, dr.select(active & facing, last, first))
+
+        def owned(table):
+            first, last = dr.gather(mi.UInt32, table, light), dr.gather(mi.UInt32, table, light + 1)
+            return first, dr.select(active & facing, last, first)
+
+        return EdgeBuffer(self.positions, self.start, self.end, *owned(self.first_edge), (self.patches, *owned(self.first_patch)))
 
     def apex(self, light, x):
-        """Unit vector from `x` towards the light's centroid: apex of the solid angle's fan."""
-        return direction(dr.gather(mi.Point3f, self.centroid, light) - dr.detach(x))
+        """Unit vector from `x` into the light: apex of the solid angle's fan."""
+        middle = direction(dr.gather(mi.Point3f, self.centroid, light) - dr.detach(x))
+        return apex_direction(middle, dr.gather(mi.Vector3f, self.normal, light), -1)
 
     def radiance(self, light, wavelengths):
         """Emitted radiance of light number `light`, averaged over its area; unpolarised spectrum."""

@@ -13,11 +13,12 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - method
    - |string|
-   - How polygons are projected: ``recurrence``, ``edge`` or ``auto``, see :py:func:`mi_shlight.project_polygon`. (Default: ``auto``)
+   - How polygons are projected: ``recurrence``, ``edge``, ``quadrature`` or ``auto``, see :py:func:`mi_shlight.project_polygon`. (Default: ``auto``)
 
  * - transfer
    - |string|
-   - ``unshadowed``: lights shine through everything; analytic, no bake. ``shadowed``: soft shadows. (Default: ``shadowed``)
+   - ``unshadowed``: lights shine through everything; analytic, no bake, cheap at any order (``auto`` is ``edge`` then).
+     ``shadowed``: soft shadows. (Default: ``shadowed``)
 
  * - transfer_domain
    - |string|
@@ -93,7 +94,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
-from ..light.project import check_method, edge_shader, project_edges
+from ..light.project import check_method, light_shader, project_light
+from ..light.zonal import times_pole_value, zonal_lambert, zonal_shader
 from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
 from ..transfer.bake import trace_transfer
@@ -258,15 +260,19 @@ def build():
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             n = dr.detach(dr.select(front, si.sh_frame.n, -si.sh_frame.n))
-            transfer_of = self._transfer_source(pi, si, n, ~front, sampler, lit)
-            irradiance = self._lighting(table, transfer_of, si, lit)
+            shader_of = self._shader_source(pi, si, n, ~front, sampler, lit)
+            irradiance = self._lighting(table, shader_of, si, lit)
             return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
 
-        def _transfer_source(self, pi, si, n, back_side, sampler, lit):
-            """Function from a light group's number to the transfer vector at each hit."""
+        def _shader_source(self, pi, si, n, back_side, sampler, lit):
+            """Function from a light group's number to the shader that meets the group's lights with the transfer at each hit."""
+            shader = lambda coeffs: light_shader([dr.detach(t) for t in coeffs], self.order, self.method)
             if self.transfer == "unshadowed":
-                coeffs = cosine_transfer(n, self.order)
-                return lambda g, first, last: coeffs
+                if self.method in ("auto", "edge"):   # the edge form again, but symmetric about n: n + 1 coefficients instead of (n + 1)^2
+                    shade = zonal_shader(n, times_pole_value(zonal_lambert(self.order)))
+                else:
+                    shade = shader(cosine_transfer(n, self.order))
+                return lambda g, first, last: shade
             state, lookup, traced, p = self._state, None, lit, dr.detach(si.p)
             if self.transfer_domain == "vertex":
                 lookup = state.lookup
@@ -276,17 +282,17 @@ def build():
                 shift = sampler.next_2d(lit)
                 samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
-            def transfer_of(g, first, last):
+            def shader_of(g, first, last):
                 coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
                 if lookup is None or not state.all_baked:
                     by_rays = shadowed_transfer(state.occluders, state.bake_lights, (first, last), p, n, self.order, samples,
                                                 shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
-                return coeffs
+                return shader(coeffs)
 
-            return transfer_of
+            return shader_of
 
-        def _lighting(self, table, transfer_of, si, lit):
+        def _lighting(self, table, shader_of, si, lit):
             """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
             groups = mi.UInt32(self._state.groups)
             group_count = len(self._state.groups) - 1
@@ -294,7 +300,7 @@ def build():
 
             def group_body(g, total, x):
                 first, last = dr.gather(mi.UInt32, groups, g), dr.gather(mi.UInt32, groups, g + 1)
-                shade = edge_shader([dr.detach(t) for t in transfer_of(g, first, last)], self.order, self.method)
+                shade = shader_of(g, first, last)
 
                 def light_body(k, total, x):
                     value = shade(table.edges(k, x, lit), x, table.apex(k, x))
@@ -312,7 +318,7 @@ def build():
             wavelengths = si.wavelengths
 
             def body(k, total, x):
-                coeffs = project_edges(table.edges(k, x, valid), x, table.apex(k, x), self.order, self.method)
+                coeffs = project_light(table.edges(k, x, valid), x, table.apex(k, x), self.order, self.method)
                 weight = luminance(table.radiance(k, wavelengths), wavelengths)
                 return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
 

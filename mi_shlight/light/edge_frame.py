@@ -55,7 +55,7 @@ def constants(order: int) -> Constants:
         for m in range(l + 1):
             if (l + m) % 2:                           # P_l^m'(0) = (l + m) P_{l-1}^m(0)
                 ratio = math.sqrt((2 * l + 1) / (2 * l - 1) * (l - m) * (l + m))
-                value = 2 * ratio * equator[l * (l - 1) + m] / (l * (l + 1))
+                value = float(2 * ratio * equator[l * (l - 1) + m] / (l * (l + 1)))
                 slope[l * (l + 1) + m] = slope[l * (l + 1) - m] = value
     half = fibonacci_hemisphere(3 * (2 * order + 1))
     directions = np.concatenate([half, -half])
@@ -70,8 +70,8 @@ def constants(order: int) -> Constants:
     return Constants(tuple(slope), tuple(map(tuple, rows)), tuple(map(tuple, columns)))
 
 
-def project_edge(edges, x, apex, order: int) -> list:
-    """Coefficients ``L_lm`` of the polygon `edges` seen from `x`: list of ``(order + 1)**2`` floats."""
+def project_edge(light, x, apex, order: int, active=True) -> list:
+    """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
     table = constants(order)
 
     def term(v_i, v_j, apex):
@@ -90,11 +90,11 @@ def project_edge(edges, x, apex, order: int) -> list:
         values[0] = fan_solid_angle(apex, frame) * MONOPOLE
         return values
 
-    return edges.sum(term, x, apex, (order + 1) ** 2)
+    return light.sum(term, x, apex, (order + 1) ** 2, active)
 
 
 def edge_form_shader(transfer: list, order: int):
-    """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm``: the transfer is taken to the edge, not the edge to the world."""
+    """Function ``shade(light, x, apex, active)`` that gives ``sum_lm T_lm L_lm``: takes the transfer to the edges' frames."""
     table = constants(order)
     odd = [value != 0 for value in table.slope]
     met = [any(odd[j] for j, _ in row) for row in table.x90]
@@ -119,7 +119,7 @@ def edge_form_shader(transfer: list, order: int):
                 total = dr.fma(wave, f, total)
         return [total]
 
-    return lambda edges, x, apex: edges.sum(term, x, apex, 1)[0]
+    return lambda light, x, apex, active=True: light.sum(term, x, apex, 1, active)[0]
 
 
 def _angles(frame: EdgeFrame, order: int) -> tuple:
@@ -131,11 +131,10 @@ def _angles(frame: EdgeFrame, order: int) -> tuple:
     inverse = 1 / rho
     rho = dr.select(tilted, rho, 0)
     cos_alpha, sin_alpha = dr.select(tilted, n[0] * inverse, 1), dr.select(tilted, n[1] * inverse, 0)
-    sin_h, cos_h = dr.sincos(frame.arc * 0.5)
-    middle = frame.omega_i * cos_h + dr.cross(n, frame.omega_i) * sin_h
+    middle = frame.middle
     cos_phi = dr.fma(cos_alpha, middle[0], sin_alpha * middle[1]) * n[2] - rho * middle[2]
     sin_phi = dr.fma(cos_alpha, middle[1], -(sin_alpha * middle[0]))
-    half = _multiples(cos_h, sin_h, order)[1]
+    half = _multiples(frame.cos_half, frame.sin_half, order)[1]
     length = [frame.arc * 0.5] + [half[m] * (1 / m) for m in range(1, order + 1)]
     angles = ((cos_alpha, sin_alpha), (n[2], rho), (cos_phi, sin_phi))
     return [_multiples(c, s, order) for c, s in angles], length

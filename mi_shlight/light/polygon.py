@@ -5,6 +5,8 @@ arguments. Data-dependent trouble has a documented limit and never gives NaN for
 """
 from __future__ import annotations
 
+import functools
+import math
 from typing import NamedTuple
 
 import drjit as dr
@@ -17,21 +19,24 @@ class EdgeFrame(NamedTuple):
     """Unit vector to the edge's start; 0 if the start is the shading point."""
     omega_j: object
     """Unit vector to the edge's end."""
-    cross: object
-    """``omega_i x omega_j``."""
     normal: object
     """Unit normal of the arc's plane ([W18] eq. 19, mu_e); 0 for coincident or antipodal ends."""
+    middle: object
+    """Unit vector to the middle of the arc; 0 where the normal is."""
     sin: object
     cos: object
     """Sine and cosine of the arc."""
+    sin_half: object
+    cos_half: object
+    """Sine and cosine of half the arc."""
     arc: object
     """Length of the arc in radians, 0 to pi; 0 where the normal is."""
 
 
 def direction(v):
     """Unit vector along `v`; the zero vector for ``v = 0``. Safe for every finite length."""
-    v, length = _moderate(v)
-    return v / dr.select(length > 0, length, 1)
+    v, length = scaled(v)
+    return v * (1 / length)
 
 
 def edge_frame(v_i, v_j) -> EdgeFrame:
@@ -41,43 +46,61 @@ def edge_frame(v_i, v_j) -> EdgeFrame:
     edge keeps full relative accuracy; the arc is ``atan2(|cross|, dot)``, where [W18] eq. 20 has an acos that loses half of the
     digits.
     """
-    v_i, length_i = _moderate(v_i)
-    v_j, length_j = _moderate(v_j)
-    safe_i, safe_j = dr.select(length_i > 0, length_i, 1), dr.select(length_j > 0, length_j, 1)
-    omega_i, omega_j = v_i / safe_i, v_j / safe_j
-    cross = compensated_cross(v_i, v_j) / (safe_i * safe_j)
-    sin2 = dr.dot(cross, cross)
+    v_i, length_i = scaled(v_i)
+    v_j, length_j = scaled(v_j)
+    inverse_i, inverse_j = 1 / length_i, 1 / length_j
+    omega_i, omega_j = v_i * inverse_i, v_j * inverse_j
+    cross = compensated_cross(v_i, v_j) * (inverse_i * inverse_j)
+    sin2 = dr.squared_norm(cross)
     usable = sin2 > _tiny(cross)
-    sin = dr.sqrt(dr.select(usable, sin2, 0))
-    normal = cross / dr.select(usable, sin, float("inf"))
+    sin = dr.sqrt(dr.select(usable, sin2, 1))
+    normal = dr.select(usable, cross * (1 / sin), 0)
+    sin = dr.select(usable, sin, 0)
     cos = dr.dot(omega_i, omega_j)
-    arc = dr.select(usable, dr.atan2(sin, cos), 0)
-    return EdgeFrame(omega_i, omega_j, cross, normal, sin, cos, arc)
+    larger = dr.sqrt(dr.fma(abs(cos), 0.5, 0.5))      # of the half angle's sine and cosine; the other one follows without cancellation
+    smaller = 0.5 * sin / larger
+    sin_half, cos_half = dr.select(cos > 0, smaller, larger), dr.select(cos > 0, larger, smaller)
+    middle = dr.select(usable, dr.fma(omega_i, cos_half, dr.cross(normal, omega_i) * sin_half), 0)
+    arc = dr.select(usable, 2 * dr.atan2(sin_half, cos_half), 0)
+    return EdgeFrame(omega_i, omega_j, normal, middle, sin, cos, sin_half, cos_half, arc)
 
 
 def fan_solid_angle(apex, frame: EdgeFrame):
     """Signed solid angle of the spherical triangle (apex, omega_i, omega_j), in steradians.
 
-    ``2 atan2(a . (b x c), 1 + a.b + b.c + c.a)`` (van Oosterom and Strackee 1983) in place of [W18] eq. 24, whose acos form is
-    printed wrongly and is neither signed nor accurate. Summed over the edges of a closed polygon it gives the signed solid
-    angle, for non-convex polygons too. Any apex will do in exact arithmetic; one inside the polygon keeps the digits.
+    ``2 atan2(sin(T/2) a . n, cos(T/2) + a . m)`` with the normal n and the middle m of the edge: van Oosterom and Strackee's formula
+    (1983) divided by ``2 cos(T/2)``, which keeps its digits where an edge spans nearly half a circle. [W18] eq. 24 has an acos form that is
+    printed wrongly and is neither signed nor accurate. Summed over the edges of a closed polygon it gives the signed solid angle, for
+    non-convex polygons too.
     """
-    numerator = dr.dot(apex, frame.cross)
-    denominator = 1 + dr.dot(apex, frame.omega_i) + frame.cos + dr.dot(frame.omega_j, apex)
+    numerator = frame.sin_half * dr.dot(apex, frame.normal)
+    denominator = frame.cos_half + dr.dot(apex, frame.middle)
     usable = (numerator != 0) | (denominator != 0)
     return dr.select(usable, 2 * dr.atan2(numerator, dr.select(usable, denominator, 1)), 0)
 
 
 def interior_direction(vertices, x):
-    """Direction from `x` to the mean of a list of vertices: an apex for :py:func:`fan_solid_angle`.
+    """Direction from `x` halfway between the mean of a list of vertices and the normal of their plane, on the mean's side.
 
-    A fan about a vertex would lose digits where the light fills the hemisphere (3.6e-4 in float32 for a square of 1e4 times its
-    distance).
+    An apex for :py:func:`fan_solid_angle`. In exact arithmetic any would do whose opposite is not in the polygon. A vertex loses digits
+    where the light fills the hemisphere (3.6e-4 in float32 for a square of 1e4 times its distance), the mean where `x` is close to
+    the plane of the light.
     """
-    total = vertices[0] - x
+    vertices, x = [dr.detach(v) for v in vertices], dr.detach(x)
+    count = len(vertices)
+    mean = vertices[0] * (1 / count)
     for v in vertices[1:]:
-        total = total + (v - x)
-    return direction(dr.detach(total))
+        mean = dr.fma(v, 1 / count, mean)
+    a, b, c = vertices[0], vertices[count // 3], vertices[2 * count // 3]
+    pairs = exact_difference(a, x), exact_difference(b, a), exact_difference(c, a)
+    scale = power_of_two_scale(functools.reduce(dr.maximum, (largest_component(difference) for difference, _ in pairs)))
+    corner, side, other = ((difference * scale, error * scale) for difference, error in pairs)
+    return apex_direction(direction(mean - x), direction(dr.cross(side[0], other[0])), triple_product(corner, side, other))
+
+
+def apex_direction(middle, normal, height):
+    """Unit vector halfway between the unit vectors `middle` and `normal` of a plane, the latter negated where `height` is negative."""
+    return direction(middle + normal * dr.select(height < 0, -1, 1))
 
 
 def compensated_cross(a, b):
@@ -89,6 +112,35 @@ def compensated_cross(a, b):
     return type(a)(difference(a[1], b[2], a[2], b[1]), difference(a[2], b[0], a[0], b[2]), difference(a[0], b[1], a[1], b[0]))
 
 
+def exact_difference(a, b) -> tuple:
+    """``a - b`` of two vectors and its rounding error: together exact (Knuth's TwoSum). The error carries no derivatives."""
+    difference = a - b
+    a, b, d = dr.detach(a), dr.detach(b), dr.detach(difference)
+    part = d - a
+    return difference, (a - (d - part)) - (b + part)
+
+
+def triple_product(a: tuple, b: tuple, c: tuple):
+    """``a . (b x c)`` of vectors given as (value, error), in doubled precision: full relative accuracy down to a cancellation of 1/eps.
+
+    Products are split by FMA, sums by TwoSum (Ogita, Rump and Oishi 2005). Derivatives are those of the plain formula, which do not cancel.
+    """
+    plain = dr.dot(a[0], dr.cross(b[0], c[0]))
+    (a, da), (b, db), (c, dc) = ([dr.detach(part) for part in pair] for pair in (a, b, c))
+    total, error = 0, 0
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        p, q = b[i] * c[j], b[j] * c[i]
+        n, dn = exact_difference(p, q)                # component k of b x c
+        dn = dn + (dr.fma(b[i], c[j], -p) - dr.fma(b[j], c[i], -q))
+        dn = dn + dr.fma(b[i], dc[j], dr.fma(db[i], c[j], -dr.fma(b[j], dc[i], db[j] * c[i])))
+        product = a[k] * n
+        error = error + dr.fma(a[k], n, -product) + dr.fma(a[k], dn, da[k] * n)
+        total, lost = exact_difference(product, -total)
+        error = error + lost
+    return dr.replace_grad(total + error, plain) if dr.grad_enabled(plain) else total + error
+
+
 def legendre_p(z, order: int) -> list:
     """Legendre polynomials ``P_0(z) .. P_order(z)`` by [W18] eq. 11."""
     p = [type(z)(1), z]
@@ -98,30 +150,51 @@ def legendre_p(z, order: int) -> list:
 
 
 class VertexList:
-    """Edges of a closed polygon given as a list of vertices: edge i runs from vertex i to i + 1."""
+    """A closed polygon given as a list of vertices: edge i runs from vertex i to i + 1."""
 
     def __init__(self, vertices: list):
         self.vertices = vertices
 
-    def sum(self, term, x, apex, width: int) -> list:
-        """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``.
+    def detached(self):
+        return VertexList([dr.detach(v) for v in self.vertices])
+
+    def edge_count(self):
+        return len(self.vertices)
+
+    def sum(self, term, x, apex, width: int, active=True) -> list:
+        """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``; 0 where not `active`.
 
         One symbolic loop, so that kernels do not grow with the vertex count. The loop reads the vertices from local memory, or,
         as that carries no derivatives, from a buffer if they have gradients. Only vertices with gradients inside somebody
         else's symbolic loop are unrolled.
         """
-        v, number = self.vertices, type(x[0])
+        n = len(self.vertices)
+        return self._fold(n, lambda e: (e, dr.select(e + 1 < n, e + 1, 0)), _adding(term), zeros(x, width), (x, apex), active)
+
+    def fold_patches(self, body, total, x, active=True):
+        """Run ``total = body(corners, total, x)`` over strips that together have the polygon's boundary; lanes not `active` stay.
+
+        Strip i has the corners i, i + 1, N - 2 - i, N - 1 - i in the polygon's orientation; the last one of an odd N has two equal corners.
+        Strips keep one direction of a many-sided light short. Of a non-convex polygon they may overlap with opposite signs.
+        """
+        n = len(self.vertices)
+        return self._fold((n - 1) // 2, lambda i: (i, i + 1, n - 2 - i, n - 1 - i), body, total, (x,), active)
+
+    def _fold(self, count: int, corners, body, total, others: tuple, active):
+        v, x = self.vertices, others[0]
         attached = dr.grad_enabled(v)
-        if not dr.is_jit_v(x) or attached and dr.flag(dr.JitFlag.SymbolicScope):
-            total = [number(0)] * width
-            for i in range(len(v)):
-                values = term(v[i] - x, v[(i + 1) % len(v)] - x, apex)
-                total = [t + value for t, value in zip(total, values)]
+        if not dr.is_jit_v(x):
+            for i in range(count):
+                total = body(tuple(v[k] for k in corners(i)), total, *others) if active else total
             return total
-        index = dr.uint32_array_t(number)
+        index = dr.uint32_array_t(type(x[0]))
+        if attached and dr.flag(dr.JitFlag.SymbolicScope):
+            for i in range(count):
+                new = body(tuple(v[k] for k in corners(i)), total, *others)
+                total = new if active is True else dr.select(active, new, total)
+            return total
         read = self._buffer(type(x), index) if attached else self._local(type(x), index)
-        endpoints = lambda e: (read(e), read(dr.select(e + 1 < len(v), e + 1, 0)))
-        return _loop_over_edges(index(0), index(len(v)), endpoints, term, x, apex, width)
+        return fold(index(0), index(count), lambda i: tuple(map(read, corners(i))), body, total, others, active)
 
     def _local(self, kind, index):
         local = dr.alloc_local(kind, len(self.vertices))
@@ -137,41 +210,89 @@ class VertexList:
 
 
 class EdgeBuffer:
-    """Directed edges of a light inside flat buffers: polygons with holes, many lights, differentiable vertices.
+    """Directed edges and strips of a light inside flat buffers: polygons with holes, many lights, differentiable vertices.
 
     ``positions``: flat x, y, z of all vertices; ``start``, ``end``: vertex indices of each edge; the light owns the edges
-    ``first .. last - 1`` (may differ between lanes).
+    ``first .. last - 1`` (may differ between lanes). ``patches`` = (corners, first, last): four vertex indices per strip, flat.
     """
 
-    def __init__(self, positions, start, end, first, last):
-        self.positions, self.start, self.end, self.first, self.last = positions, start, end, first, last
+    def __init__(self, positions, start, end, first, last, patches):
+        self.positions, self.start, self.end, self.first, self.last, self.patches = positions, start, end, first, last, patches
 
-    def sum(self, term, x, apex, width: int) -> list:
+    def detached(self):
+        return EdgeBuffer(dr.detach(self.positions), self.start, self.end, self.first, self.last, self.patches)
+
+    def edge_count(self):
+        return self.last - self.first
+
+    def sum(self, term, x, apex, width: int, active=True) -> list:
         """As :py:meth:`VertexList.sum`."""
-        vertex = lambda table, e: dr.gather(type(x), self.positions, dr.gather(type(self.start), table, e))
-        endpoints = lambda e: (vertex(self.start, e), vertex(self.end, e))
-        return _loop_over_edges(self.first, self.last, endpoints, term, x, apex, width)
+        corners = lambda e: tuple(self._vertex(x, dr.gather(type(self.start), table, e)) for table in (self.start, self.end))
+        return fold(self.first, self.last, corners, _adding(term), zeros(x, width), (x, apex), active)
+
+    def fold_patches(self, body, total, x, active=True):
+        """As :py:meth:`VertexList.fold_patches`."""
+        table, first, last = self.patches
+        corners = lambda i: tuple(self._vertex(x, dr.gather(type(table), table, 4 * i + k)) for k in range(4))
+        return fold(first, last, corners, body, total, (x,), active)
+
+    def _vertex(self, x, index):
+        return dr.gather(type(x), self.positions, index)
 
 
-def _loop_over_edges(first, last, endpoints, term, x, apex, width: int) -> list:
-    def body(e, total, x, apex):
-        p_i, p_j = endpoints(e)
-        return e + 1, [t + value for t, value in zip(total, term(p_i - x, p_j - x, apex))], x, apex
+def fold(first, last, read, body, total, others: tuple = (), active=True):
+    """``for i in first .. last - 1: total = body(read(i), total, *others)`` in one symbolic loop; lanes not `active` run none of it.
 
-    total = [type(x[0])(0) for _ in range(width)]
-    return dr.while_loop((first, total, x, apex), lambda e, *_: e < last, body, mode="symbolic", max_iterations=-1)[1]
+    `others`: what the body needs and may carry derivatives.
+    """
+    last = dr.select(active, last, first)
+    if not dr.is_jit_v(last):
+        for i in range(first, last):
+            total = body(read(i), total, *others)
+        return total
+    step = lambda i, last, total, others: (i + 1, last, body(read(i), total, *others), others)
+    return dr.while_loop((first, last, total, others), lambda i, last, *_: i < last, step, mode="symbolic", max_iterations=-1)[2]
 
 
-def _moderate(v):
-    """`v`, scaled only where products of its components could overflow or vanish, and its length."""
-    largest = dr.maximum(dr.maximum(abs(v[0]), abs(v[1])), abs(v[2]))
-    usable = largest > _tiny(v)
-    scale = dr.select((largest > 1e-4) & (largest < 1e4), 1, 1 / dr.select(usable, largest, float("inf")))
-    v = v * scale
-    return v, dr.sqrt(dr.dot(v, v))
+def _adding(term):
+    return lambda corners, total, x, apex: [t + value for t, value in zip(total, term(corners[0] - x, corners[1] - x, apex))]
+
+
+def zeros(x, width: int) -> list:
+    """`width` zeros of the number type of a vector."""
+    return [type(x[0])(0) for _ in range(width)]
+
+
+def power_of_two_scale(largest):
+    """A power of two that brings a positive number near 1: scaling by it is exact. Without derivatives; finite for 0."""
+    number = type(largest)
+    if number is float:
+        return math.ldexp(1.0, -max(min(math.frexp(largest)[1], 1000), -1000))
+    largest = dr.detach(largest)
+    double = number.__name__ == "Float64"
+    bits = (dr.uint64_array_t if double else dr.uint32_array_t)(largest)
+    exponent, top, smallest = (0x7ff << 52, 0x7fe << 52, 1 << 52) if double else (0xff << 23, 0xfe << 23, 1 << 23)
+    return dr.reinterpret_array(number, dr.maximum(top - (dr.reinterpret_array(bits, largest) & exponent), smallest))
+
+
+def largest_component(v):
+    """Largest absolute value of a vector's components."""
+    return dr.maximum(dr.maximum(abs(v[0]), abs(v[1])), abs(v[2]))
+
+
+def scaled(v):
+    """`v` scaled by a power of two so that products of its components neither overflow nor vanish, and its length (1 for ``v = 0``)."""
+    v = v * power_of_two_scale(largest_component(v))
+    return v, safe_length(v)
+
+
+def safe_length(v):
+    """Length of a vector whose components are of moderate size, and never 0: 1 in its place."""
+    squared = dr.squared_norm(v)
+    return dr.sqrt(dr.select(squared > 0, squared, 1))
 
 
 def _tiny(v) -> float:
-    """Below this a component or a squared sine is treated as zero: near the smallest normal number."""
+    """Below this a squared sine is treated as zero: near the smallest normal number."""
     number = type(v[0])
     return 1e-300 if number is float or number.__name__ == "Float64" else 1e-37

@@ -3,15 +3,22 @@ from __future__ import annotations
 
 import drjit as dr
 
-from ..arrays import vectors3
-from ..errors import check_choice, message
+from ..errors import check_choice, check_number, message
 from ..sh.basis import check_order
+from .arguments import all_finite, polygon_arguments
 from .edge_frame import MAX_EDGE_ORDER, edge_form_shader, project_edge
-from .polygon import VertexList, interior_direction
+from .quadrature import demand, project_quadrature, quadrature_shader
 from .recurrence import project_recurrence, recurrence_shader
 
-METHODS = ("auto", "recurrence", "edge")
-"""Accepted values of `method`; ``auto`` stands for ``recurrence``."""
+METHODS = ("auto", "recurrence", "edge", "quadrature")
+"""Accepted values of `method`."""
+
+MAX_ERROR = (4e-6, 1e-12)
+"""Default of `max_error` in float32 and float64: what the boundary forms reach for lights of moderate size, with some room."""
+
+POINTS_PER_EDGE = ((0, 20), (2, 6), (4, 4), (8, 2.5), (14, 3))
+"""Cost of one edge of the ``edge`` form in cubature points, by order: below the count that it buys cubature is cheaper. From
+validation/engine.py; flat in between, and no sharp optimum."""
 
 
 def check_method(function: str, method: str, order: int) -> None:
@@ -22,8 +29,8 @@ def check_method(function: str, method: str, order: int) -> None:
                                  "Use method='recurrence' above."))
 
 
-def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
-    """Project a uniform polygonal light of unit radiance, seen from `x`, to spherical harmonics in closed form.
+def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=None) -> list:
+    """Project a uniform polygonal light of unit radiance, seen from `x`, to spherical harmonics.
 
     ``L_lm = int_Q Y_lm(omega) d omega`` over the directions Q in which the polygon is seen ([W18] eq. 5). Multiply by
     the light's radiance afterwards; coefficients of several lights add.
@@ -39,8 +46,13 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     order : int
         Highest degree, 0 to 64.
     method : str
-        ``"recurrence"``: zonal recurrence of [W18], Algorithm 1. ``"edge"``: closed form in each edge's own frame, up to order 20; about
-        twice as fast to run and three times as fast to compile. ``"auto"`` today means ``recurrence``.
+        ``"auto"``: ``edge`` or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in each
+        edge's own frame, up to order 20. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to three times
+        slower than ``edge``, any order. ``"quadrature"``: cubature over the light's area, which suits lights of moderate and small angular
+        size, at any distance and angle.
+    max_error : float, optional
+        Relative L2 error of all coefficients together that ``auto`` and ``quadrature`` aim at; 4e-6 in float32 and 1e-12 in float64 if
+        not given. Larger values save time on distant lights. Not below the precision's rounding unit.
 
     Returns
     -------
@@ -50,16 +62,20 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 (0..20 for ``edge``) or
-        `method` is unknown.
+        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 (0..20 for ``edge``),
+        `method` is unknown or `max_error` out of range.
 
     Notes
     -----
-    Relative L2 error at order 14 for lights of moderate angular size: below 1e-12 (float64) and 5e-6 (float32). A boundary form
-    subtracts edge terms, so the error grows like eps / theta for a light of angular size theta.
+    Relative L2 error at order 14, reference set of 62 polygons: ``auto`` 3e-6 in float32 and 1e-12 in float64, also for lights 1e6 times
+    farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The boundary forms ``edge`` and
+    ``recurrence`` subtract edge terms: their error is about eps (recurrence: 10 eps) times perimeter over solid angle, as seen from `x`.
+    ``quadrature`` is exact to 1e-6 and 1e-13 up to angular sizes of about 1 rad, useless where the light fills the hemisphere. Where ``auto``
+    changes from one to the other the values differ by less than `max_error`.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
-    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN.
+    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN; a coordinate that is infinite or NaN
+    makes all coefficients of its lane NaN.
 
     Differentiable by Dr.Jit's autodiff; with ``edge`` not where the plane through `x` and an edge is the x-y plane.
 
@@ -68,35 +84,70 @@ def project_polygon(vertices, x, order: int, method: str = "auto") -> list:
     name = "project_polygon"
     n = check_order(name, order)
     check_method(name, method, n)
-    if not isinstance(vertices, (list, tuple)):
-        raise TypeError(message(name, "vertices", "be a list of 3-vectors", vertices, "Example: [mi.Point3f(0, 0, 1), ...]."))
-    if len(vertices) < 3:
-        raise ValueError(message(name, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
-    vertices, x = vectors3(name, vertices=list(vertices), x=x)
-    vertices, x = [_not_literal(v) for v in vertices], _not_literal(x)
-    coeffs = project_edges(VertexList(vertices), x, interior_direction(vertices, x), n, method)
+    light, x, apex = polygon_arguments(name, vertices, x)
+    if max_error is not None:
+        smallest = dr.epsilon(x)
+        max_error = check_number(name, "max_error", max_error, smallest, 1, hint="It is a relative error, such as 1e-4.")
+    coeffs = project_light(light, x, apex, n, method, max_error)
+    finite = all_finite(*light.vertices, x)
+    coeffs = [dr.select(finite, c, float("nan")) for c in coeffs]
     if dr.is_jit_v(x) and dr.width(coeffs) == 1 and not dr.flag(dr.JitFlag.SymbolicScope):
         dr.schedule(coeffs)                           # reading them one by one would launch one kernel each
     return coeffs
 
 
-def _not_literal(v):
-    """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
-    literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
-    return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))
+def project_light(light, x, apex, order: int, method: str = "auto", max_error=None) -> list:
+    """:py:func:`project_polygon` of a light given as edges and strips, without checks of its numbers: for callers inside loops.
 
-
-def project_edges(edges, x, apex, order: int, method: str = "auto") -> list:
-    """:py:func:`project_polygon` of a light given as edges, without checks: for callers inside loops.
-
-    `edges`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
+    `light`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
     """
-    return (project_edge if method == "edge" else project_recurrence)(edges, x, apex, order)
+    max_error = default_error(x) if max_error is None else max_error
+    if method == "quadrature":
+        return project_quadrature(light, x, order, max_error)
+    boundary = project_recurrence if method == "recurrence" or order > MAX_EDGE_ORDER else project_edge
+    if method != "auto":
+        return boundary(light, x, apex, order)
+    cubature = prefers_cubature(light, x, order, max_error)
+    parts = boundary(light, x, apex, order, cubature ^ True), project_quadrature(light, x, order, max_error, cubature)
+    return [a + b for a, b in zip(*parts)]
 
 
-def edge_shader(transfer: list, order: int, method: str = "auto"):
-    """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm`` of one light ([W18] eq. 4).
+def light_shader(transfer: list, order: int, method: str = "auto", max_error=None):
+    """Function ``shade(light, x, apex)`` that gives ``sum_lm T_lm L_lm`` of one light ([W18] eq. 4).
 
     What depends on the transfer alone is done here, once for all lights.
     """
-    return (edge_form_shader if method == "edge" else recurrence_shader)(transfer, order)
+    max_error = default_error(transfer[0]) if max_error is None else max_error
+    cubature = quadrature_shader(transfer, order, max_error)
+    if method == "quadrature":
+        return lambda light, x, apex: cubature(light, x)
+    boundary = (recurrence_shader if method == "recurrence" or order > MAX_EDGE_ORDER else edge_form_shader)(transfer, order)
+    if method != "auto":
+        return boundary
+
+    def shade(light, x, apex):
+        few = prefers_cubature(light, x, order, max_error)
+        return boundary(light, x, apex, few ^ True) + cubature(light, x, few)
+
+    return shade
+
+
+def prefers_cubature(light, x, order: int, max_error: float):
+    """Mask: where method ``auto`` takes the cubature in place of the edge form.
+
+    The edge form errs by about eps times perimeter over solid angle (measured 0.2 to 2 of that, orders 2 to 14; validation/engine.py), so it is
+    left where that exceeds `max_error`, and where cubature needs fewer points than the edges are worth. Where no number of points
+    is quite enough, the edge form stays until its own error is 4 times the one asked for; close to the light, always.
+    """
+    need = demand(light, x, order, max_error)
+    rounding = dr.epsilon(x) * need.perimeter
+    inexact = rounding > max_error * need.solid_angle
+    useless = rounding > 4 * max_error * need.solid_angle
+    worth = next(points for limit, points in reversed(POINTS_PER_EDGE) if order >= limit)
+    cheap = type(x[0])(need.points) <= worth * type(x[0])(light.edge_count())
+    return need.possible & dr.select(need.enough, inexact | cheap, useless)
+
+
+def default_error(value) -> float:
+    """The entry of MAX_ERROR for the precision of `value`; Python floats are double."""
+    return MAX_ERROR[0 if dr.epsilon(value) > 1e-10 else 1]

@@ -28,7 +28,7 @@ def edge_integrals(frame: EdgeFrame, order: int, directions) -> list:
     ``directions``: lobe directions, triples of Python floats or Dr.Jit floats. Sums of these over the edges of a polygon are
     the boundary integrals ``B_l``.
     """
-    omega_i, omega_j, _, normal, sin, cos, arc = frame
+    omega_i, omega_j, normal, sin, cos, arc = frame.omega_i, frame.omega_j, frame.normal, frame.sin, frame.cos, frame.arc
     tangent = dr.cross(normal, omega_i)              # lambda_e, [W18] eq. 16
     out = []
     for w in directions:
@@ -70,11 +70,11 @@ def zonal_adjoint(weights) -> list:
     return [value * s for value, s in zip(w, scale)]
 
 
-def project_recurrence(edges, x, apex, order: int) -> list:
-    """Coefficients ``L_lm`` of the polygon `edges` seen from `x`: list of ``(order + 1)**2`` floats."""
+def project_recurrence(light, x, apex, order: int, active=True) -> list:
+    """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
     table, number = lobes(order), type(x[0])
     if order > UNROLL_ORDER and dr.is_jit_v(number):
-        return _project_lobe_loop(edges, x, apex, order, table)
+        return _project_lobe_loop(light, x, apex, order, table, active)
     directions = [[float(c) for c in d] for d in table.directions]
 
     def term(v_i, v_j, apex):
@@ -85,7 +85,7 @@ def project_recurrence(edges, x, apex, order: int) -> list:
                 flat += values
         return flat
 
-    total = edges.sum(term, x, apex, 1 + order * len(directions))
+    total = light.sum(term, x, apex, 1 + order * len(directions), active)
     coeffs = [None] * (order + 1) ** 2
     zonal = [zonal_integrals(total[0], total[1 + d * order:1 + (d + 1) * order], order) for d in range(len(directions))]
     for l, band in enumerate(table.weights):
@@ -99,16 +99,16 @@ def project_recurrence(edges, x, apex, order: int) -> list:
 
 
 def recurrence_shader(transfer: list, order: int):
-    """Function ``shade(edges, x, apex)`` that gives ``sum_lm T_lm L_lm`` without forming the coefficients.
+    """Function ``shade(light, x, apex, active)`` that gives ``sum_lm T_lm L_lm`` without forming the coefficients.
 
     The transfer is taken to the lobes and through the transposed recurrence of ``S_l`` once, before all lights; each edge then
     costs one running sum instead of ``(order + 1)**2``. Same numbers as the dot product with :py:func:`project_recurrence`.
     """
     number = type(transfer[0])
     if order > UNROLL_ORDER and dr.is_jit_v(number):
-        def shade(edges, x, apex):
+        def shade(light, x, apex, active=True):
             value = number(0)
-            for t, c in zip(transfer, project_recurrence(edges, x, apex, order)):
+            for t, c in zip(transfer, project_recurrence(light, x, apex, order, active)):
                 value = dr.fma(t, c, value)
             return value
         return shade
@@ -137,10 +137,10 @@ def recurrence_shader(transfer: list, order: int):
                     value = dr.fma(w, b, value)
         return [value]
 
-    return lambda edges, x, apex: edges.sum(term, x, apex, 1)[0]
+    return lambda light, x, apex, active=True: light.sum(term, x, apex, 1, active)[0]
 
 
-def _project_lobe_loop(edges, x, apex, order: int, table) -> list:
+def _project_lobe_loop(light, x, apex, order: int, table, active) -> list:
     """:py:func:`project_recurrence` with a symbolic loop over the lobes: slower per point, compiles in O(order^2)."""
     number = type(x[0])
     index = dr.uint32_array_t(number)
@@ -148,12 +148,12 @@ def _project_lobe_loop(edges, x, apex, order: int, table) -> list:
     padded = [[float(band[m, d]) if d < band.shape[1] else 0.0 for band in table.weights for m in range(len(band))]
               for d in range(len(table.directions))]
     weights = number([w for row in padded for w in row])
-    total = edges.sum(lambda v_i, v_j, apex: [fan_solid_angle(apex, edge_frame(v_i, v_j))], x, apex, 1)[0]
+    total = light.sum(lambda v_i, v_j, apex: [fan_solid_angle(apex, edge_frame(v_i, v_j))], x, apex, 1, active)[0]
 
     def body(d, coeffs, x, apex, total):
         lobe = [dr.gather(number, directions, 3 * d + k) for k in range(3)]
         term = lambda v_i, v_j, apex: edge_integrals(edge_frame(v_i, v_j), order, [lobe])[0]
-        zonal = zonal_integrals(total, edges.sum(term, x, apex, order), order)
+        zonal = zonal_integrals(total, light.sum(term, x, apex, order, active), order)
         row = d * len(coeffs)
         coeffs = [dr.fma(dr.gather(number, weights, row + i), zonal[math.isqrt(i)], c) for i, c in enumerate(coeffs)]
         return d + 1, coeffs, x, apex, total

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 
+from ..light.zonal import phong_bands
 from ..sh.basis import sh_basis
 
 
@@ -11,15 +12,7 @@ def cosine_bands(order: int) -> list:
 
     ``A_0 = pi, A_1 = 2 pi / 3``, odd l > 1: 0, even l: ``2 pi (-1)^(l/2 - 1) / ((l + 2)(l - 1)) * l! / (2^l ((l/2)!)^2)``.
     """
-    bands = []
-    for l in range(order + 1):
-        if l == 1:
-            bands.append(2 / 3)
-        elif l % 2:
-            bands.append(0.0)
-        else:
-            bands.append(2 * (-1) ** (l // 2 + 1) / ((l + 2) * (l - 1)) * math.comb(l, l // 2) / 2 ** l)
-    return bands
+    return phong_bands(1.0, order)
 
 
 def cosine_transfer(normal, order: int) -> list:

@@ -7,17 +7,28 @@ import reference
 from mi_shlight import project_polygon, sh_basis
 from mi_shlight.light import recurrence
 from mi_shlight.light.polygon import VertexList, interior_direction
-from mi_shlight.light.project import edge_shader
+from mi_shlight.light.project import light_shader
 
 QUAD = np.array([[-0.5, -0.4, 1.2], [0.6, -0.5, 1.0], [0.7, 0.5, 0.8], [-0.4, 0.6, 1.0]])
 CONCAVE = np.array([[-1, -1, 1.5], [1, -1, 1.5], [1, 1, 1.5], [0, -0.2, 1.5], [-1, 1, 1.5]], dtype=float)
 
-# Relative L2 error at order 14 on the generic classes. Float32: rounding of the edge geometry times the lobes' condition.
-PROMISED = {6e-8: 5e-6, 1.2e-16: 1e-12}
+# Relative L2 error at order 14 by class of the reference set, the first key that fits: (float32, float64).
 GENERIC = ("triangle", "quad", "heptagon", "star", "axis-aligned")
+PROMISED = {
+    "auto": {"grazing 1e-06": (1e-5, 1e-9), "sliver 1e-06": (1e-5, 1e-9), "grazing": (1e-5, 1e-9), "sliver": (1e-5, 1e-9),
+             "distance": (1e-5, 1e-9), "near": (4e-6, 1e-9), "huge": (4e-6, 1e-9), "": (4e-6, 1e-12)},
+    "edge": dict.fromkeys(GENERIC, (5e-6, 1e-12)) | {"near": (5e-6, 1e-12), "huge": (5e-6, 1e-12)},
+    "recurrence": dict.fromkeys(GENERIC, (5e-6, 1e-12)),
+    "quadrature": dict.fromkeys(GENERIC, (4e-6, 1e-10)) | dict.fromkeys(("distance", "grazing", "sliver"), (4e-6, 1e-12)),
+}
 
 
-@pytest.fixture(params=["recurrence", "edge"])
+def tolerance(precision, method, units):
+    """Invariants hold to some rounding units; cubature to the error that it aims at, within a factor."""
+    return max(units * precision.eps, (2e-5 if precision.eps > 1e-10 else 2e-11) if method == "quadrature" else 0)
+
+
+@pytest.fixture(params=["recurrence", "edge", "quadrature", "auto"])
 def method(request):
     return request.param
 
@@ -34,9 +45,10 @@ def relative(a, b):
 @pytest.mark.parametrize("case", reference.reference_cases(), ids=lambda c: c.name)
 def test_reference(precision, method, case):
     error = relative(project(precision, case.vertices, order=14, method=method), case.coefficients)
-    if case.name in GENERIC:
-        assert error <= PROMISED[precision.eps]
-    else:
+    promised = next((limits for name, limits in PROMISED[method].items() if case.name.startswith(name)), None)
+    if promised:
+        assert error <= promised[precision.eps < 1e-10]
+    elif method != "quadrature":                      # near and huge lights are not for cubature
         # A boundary form subtracts edge terms of the size of the perimeter to get the solid angle, and the frame of an edge of
         # length t has an error of eps / t.
         omega = case.coefficients[0] * np.sqrt(4 * np.pi)
@@ -73,7 +85,7 @@ def test_whole_sphere(precision, method):
         total = total + octant
     expected = np.zeros(225)
     expected[0] = np.sqrt(4 * np.pi)
-    assert np.abs(total - expected).max() < 60 * precision.eps
+    assert np.abs(total - expected).max() < 100 * precision.eps
 
 
 @pytest.mark.parametrize("vertices, solid_angle", [
@@ -94,7 +106,7 @@ def test_subdivision_adds(precision):
 
 def test_concave_equals_triangles(precision, method):
     parts = sum(project(precision, CONCAVE[list(t)], order=8, method=method) for t in ((0, 1, 3), (1, 2, 3), (0, 3, 4)))
-    assert relative(project(precision, CONCAVE, order=8, method=method), parts) < 100 * precision.eps
+    assert relative(project(precision, CONCAVE, order=8, method=method), parts) < tolerance(precision, method, 100)
 
 
 def test_winding_and_start_vertex(precision):
@@ -153,7 +165,7 @@ def test_degenerate_input_is_finite(precision, method, name):
     if name in ("all vertices equal", "zero area"):
         assert np.abs(coeffs).max() < 100 * precision.eps
     if name == "coincident vertices":
-        assert relative(coeffs, project(precision, [vertices[0], *vertices[2:]])) < 60 * precision.eps
+        assert relative(coeffs, project(precision, [vertices[0], *vertices[2:]])) < tolerance(precision, method, 60)
     if name.startswith("huge") or name.startswith("tiny"):
         assert relative(coeffs, project(precision, np.array(vertices) / vertices[0][2])) < 1e-5
 
@@ -162,8 +174,8 @@ def test_degenerate_input_is_finite(precision, method, name):
 def test_shader_equals_dot_product(precision, method, order):
     transfer = [precision.Float(float(t)) for t in np.cos(np.arange((order + 1) ** 2))]
     v, x = [precision.vector(p) for p in QUAD], precision.vector((0.1, 0.2, 0.1))
-    shaded = edge_shader(transfer, order, method)(VertexList(v), x, interior_direction(v, x))[0]
-    coeffs = project(precision, QUAD, (0.1, 0.2, 0.1), order)
+    shaded = light_shader(transfer, order, method)(VertexList(v), x, interior_direction(v, x))[0]
+    coeffs = project(precision, QUAD, (0.1, 0.2, 0.1), order, method)
     expected = np.cos(np.arange((order + 1) ** 2)) @ coeffs
     assert shaded == pytest.approx(expected, abs=30 * (order + 1) * precision.eps * np.abs(coeffs).max())
 
@@ -241,7 +253,7 @@ def test_many_vertices_share_one_kernel_size():
 @pytest.mark.parametrize("arguments, error, text", [
     ({"order": -1}, ValueError, r"'order' must be an integer from 0 to 64, got -1"),
     ({"order": 3.5}, ValueError, r"'order' must be .*, got 3.5"),
-    ({"method": "magic"}, ValueError, r"'method' must be one of 'auto', 'recurrence', 'edge', got 'magic'"),
+    ({"method": "magic"}, ValueError, r"'method' must be one of 'auto', 'recurrence', 'edge', 'quadrature', got 'magic'"),
     ({"method": "edge", "order": 21}, ValueError, r"'order' must be at most 20 with method='edge', got 21"),
     ({"method": 3}, TypeError, r"'method' must be one of"),
     ({"vertices": QUAD[:2].tolist()}, ValueError, r"'vertices' must have at least three entries"),

@@ -6,6 +6,7 @@ import pytest
 
 mi = pytest.importorskip("mitsuba")
 
+import reference
 from shprt_scenes import (
     ARROW,
     GREY,
@@ -77,6 +78,19 @@ def test_room(room, room_truth, parameters, bound):
 def test_shapes_of_lights(make):
     what = scene(floor=floor(), light=make())
     assert mean_error(render(what, 16, order=8, **UNSHADOWED), direct(what)) < 0.01
+
+
+@pytest.mark.parametrize("method", ["auto", "edge", "recurrence"])
+def test_unshadowed_is_the_dot_product(method):
+    """Order 8: reflectance times the clamped cosine's coefficients times those of the light, which are put out beside the picture."""
+    what = scene(camera(size=4), floor=floor(), light=light(outline=ARROW, first=1), second=light(1.0, 0.3, x=1, radiance=(0, 1, 0)))
+    plugin = integrator(order=8, coefficients=True, method=method, **UNSHADOWED)
+    image = np.array(mi.render(what, integrator=plugin, spp=1, seed=0)).astype(float)
+    l = np.arange(9)
+    bands = np.repeat([1, 2 / 3, 1 / 4, 0, -1 / 24, 0, 1 / 64, 0, -1 / 128], 2 * l + 1)
+    expected = 0.5 * image[..., 3:] @ (bands * reference.sh_basis((0, 1, 0), 8))
+    assert expected.min() > 0.01
+    np.testing.assert_allclose(image[..., :3] @ [0.212671, 0.715160, 0.072169], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("parameters", [UNSHADOWED, QUICK], ids=["unshadowed", "vertex"])

@@ -1,0 +1,38 @@
+"""What the public functions of this folder share: a polygon and points as the user gives them, checked and ready for the kernels."""
+from __future__ import annotations
+
+import drjit as dr
+
+from ..arrays import vectors3
+from ..errors import message
+from .polygon import VertexList, interior_direction
+
+
+def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
+    """``(light, x, apex, *vectors)`` of one common type: the polygon's edges, the shading point, a unit vector from `x` into the light.
+
+    `vertices` must be a list of three or more 3-vectors; otherwise TypeError or ValueError in the name of `function`.
+    """
+    if not isinstance(vertices, (list, tuple)):
+        raise TypeError(message(function, "vertices", "be a list of 3-vectors", vertices, "Example: [mi.Point3f(0, 0, 1), ...]."))
+    if len(vertices) < 3:
+        raise ValueError(message(function, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
+    vertices, *others = vectors3(function, vertices=list(vertices), x=x, **vectors)
+    vertices, (x, *others) = [_not_literal(v) for v in vertices], [_not_literal(v) for v in others]
+    vertices, x = [v * 0.25 for v in vertices], x * 0.25       # differences of the largest numbers stay finite
+    return VertexList(vertices), x, interior_direction(vertices, x), *others
+
+
+def _not_literal(v):
+    """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
+    literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
+    return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))
+
+
+def all_finite(*vectors):
+    """Mask: no component of the vectors is infinite or NaN."""
+    finite = True
+    for v in vectors:
+        for k in range(3):
+            finite = finite & dr.isfinite(v[k])
+    return finite

@@ -1,0 +1,311 @@
+"""SH coefficients of a polygonal light by cubature over its area: exact to rounding where every boundary form cancels.
+
+A boundary form subtracts edge terms of size theta to get a result of size theta^2 or less, so distant, tiny, grazing and sliver lights
+lose all digits of float32. A sum over points of the light has terms of one sign. It needs few points as long as the light looks small
+against the wavelength of Y_lm, and these are placed so that few suffice:
+
+The polygon is cut into strips with four corners each (two may coincide), bilinear patches ``p(s, t)`` relative to the shading point.
+Their solid angle element is
+
+    d omega = F(s, t) / |p|^3 ds dt,    F = p . (dp/ds x dp/dt).                                                          (1)
+
+F is bilinear in (s, t), also if the corners are not in one plane: its four corner values, triple products, say all of it. They are the
+only quantity that cancels (grazing and sliver lights), and are taken of exact vertex differences in doubled precision. At fixed s the
+patch is a segment between two points A and B, seen under an angle Phi. Parametrised by the fraction u of that angle the direction is a
+spherical linear interpolation, and (1) loses the poles of 1 / |p|^3:
+
+    omega(u) = p A/|A| + q B/|B|,    p = sin((1 - u) Phi) / sin Phi,    q = sin(u Phi) / sin Phi,                            (2)
+    F dt / |p|^3 = (F_A p / (|A|^2 |B|) + F_B q / (|A| |B|^2)) Phi / sin Phi du.                                             (3)
+
+Times Y_lm that is a trigonometric polynomial of degree order + 1, for which the error of k Gauss-Legendre nodes is known
+(:py:func:`node_limits`). Across, s runs over the same kind of variable along the patch's middle line. Derived for this package; [W20]
+section 7.3 suggests a single sample.
+"""
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import drjit as dr
+import numpy as np
+
+from ..sh.basis import sh_basis
+from ..sh.lobes import sh_matrix
+from .polygon import (EdgeFrame, direction, edge_frame, exact_difference, fold, largest_component, power_of_two_scale, safe_length,
+                      triple_product, zeros)
+
+NODE_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)
+"""Numbers of Gauss nodes per direction to choose from."""
+
+_squared_chord = lambda angle: (2 * math.sin(angle / 2)) ** 2
+WIDE_S = tuple(map(_squared_chord, (0.9, 1.5, 2.0, 2.0)))
+WIDE_T = tuple(map(_squared_chord, (2.0, 2.6, 2.6, 2.6)))
+SLIM = _squared_chord(0.3)
+MISMATCH = (1.1, 1.8, 2.6, 3.5, 5.0, 6.5, 8.0, 12.0)
+HOPELESS_T, HOPELESS_MISMATCH = _squared_chord(2.8), 20.0
+"""The integral over t is not quite a trigonometric polynomial in s if the patch is seen under wide angles, or if distances along its two
+borders rise differently (``|00| |11|`` against ``|10| |01|``). For each of these limits exceeded s takes the next larger rule; those
+in t do not count for a patch slim in s. Beyond the last two, which a point near the border meets, no rule helps. See
+validation/quadrature_rule.py."""
+
+
+class Demand(NamedTuple):
+    """What cubature of a light would take, and what it can say about the boundary forms. Without derivatives."""
+
+    points: object
+    """Number of points, all patches together."""
+    enough: object
+    """False if some patch would need more than the largest number of nodes."""
+    possible: object
+    """False if some patch is so near that the largest number of nodes would not even come close."""
+    solid_angle: object
+    """Estimate within a factor of a few, in steradians."""
+    perimeter: object
+    """Estimate within a factor of a few, in radians."""
+
+
+class _Patch(NamedTuple):
+    vectors: tuple
+    """Corners 00, 10, 11, 01 in (s, t) relative to the shading point, scaled by a power of two."""
+    lengths: tuple
+    flux: tuple
+    """F of equation (1) at the corners."""
+    density: tuple
+    """Solid angle per unit of the node coordinates at the corners; their mean is the solid angle of a small patch."""
+
+
+@functools.lru_cache(maxsize=None)
+def node_limits(order: int, max_error: float) -> tuple:
+    """Largest angle in radians at which each of NODE_COUNTS keeps the relative L2 error of the coefficients below `max_error`.
+
+    k Gauss-Legendre nodes on an interval of half-width h err by ``2^(2k+1) k!^4 / ((2k+1) (2k)!^3) h^(2k)`` times the derivative of order
+    2k. Along an arc the integrand is a cosine of the azimuth times ``cos(m phi)``, or, where a strip narrows to a point, a sine:
+    frequencies up to m + 1, and small arcs lose one power of h in the latter case, except for a single node, which is put into the centroid.
+    The degrees m count with the power that they have along a great circle.
+    """
+    equator = sh_matrix(np.array([[1.0, 0.0, 0.0]]), order)[0]
+    m = np.arange(order + 1)
+    power = np.array([sum(equator[l * (l + 1) + k] ** 2 for l in range(k, order + 1)) for k in m])
+    power /= power.sum()
+
+    def log_error(k, h):
+        factor = 2 * k * math.log(2) + 4 * math.lgamma(k + 1) - math.log(2 * k + 1) - 3 * math.lgamma(2 * k + 1)
+        w = (m + 1) * h
+        rises = (1 + 2 * k / w if k > 1 else 1) * (w / w[-1]) ** (2 * k)
+        return factor + 2 * k * math.log(w[-1]) + math.log(math.sqrt(power @ rises ** 2))
+
+    limits = []
+    for k in NODE_COUNTS:
+        low, high = -40.0, math.log(math.pi / 2)      # logarithm of h
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (low, middle) if log_error(k, math.exp(middle)) > math.log(max_error) else (middle, high)
+        limits.append(2 * math.exp(low))
+    return tuple(limits)
+
+
+def demand(light, x, order: int, max_error: float) -> Demand:
+    """How many points cubature of `light` from `x` would take."""
+    number = type(x[0])
+    nodes = _Nodes(number, order, max_error)
+
+    def body(corners, total, x):
+        points, enough, possible, solid_angle, along, across = total
+        patch, s, t = _long_side_inside(_view(corners, x, exact=False))
+        choice_s, choice_t = nodes.choose(patch, s, t)
+        return (points + nodes.count(choice_s) * nodes.count(choice_t), enough & nodes.enough(choice_s) & nodes.enough(choice_t),
+                possible & (_largest(t) < HOPELESS_T) & (_mismatch(patch) < HOPELESS_MISMATCH), solid_angle + _rough_solid_angle(patch, s, t), along + dr.sqrt(s[0]) + dr.sqrt(s[1]), dr.maximum(across, _largest(t)))
+
+    zero = number(0)
+    start = (dr.uint32_array_t(zero)(0), dr.mask_t(zero)(True), dr.mask_t(zero)(True), zero, zero, zero)
+    points, enough, possible, solid_angle, along, across = light.detached().fold_patches(body, start, dr.detach(x))
+    return Demand(points, enough, possible, abs(solid_angle), along + 2 * dr.sqrt(across))
+
+
+def integrate(light, x, order: int, max_error: float, add, total, active=True):
+    """Run ``total = add(total, omega, weight)`` over the cubature points of `light`: directions and their solid angles."""
+    nodes = _Nodes(type(x[0]), order, max_error)
+
+    def over_patch(corners, total, x):
+        patch, s, t = _long_side_inside(_view(corners, x, exact=True))
+        choice_s, choice_t = nodes.choose(patch, s, t)
+        centre, single = _centre(patch.density, (choice_s == 0) & (choice_t == 0))
+        choice_s, choice_t = (dr.select(single | (choice > 0), choice, 1) for choice in (choice_s, choice_t))
+        v00, v10, v11, v01 = patch.vectors
+        middle = v00 + v01, v10 + v11
+        lengths = tuple(safe_length(v) for v in middle)
+        others = (tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths)     # Dr.Jit's loops see no members of named tuples
+
+        def over_s(node, total, patch, centre, middle, lengths):
+            patch, centre, middle = _Patch(*patch), _Centre(*centre), EdgeFrame(*middle)
+            p, q, ratio = _slerp(dr.select(single, centre.s, node[0]), middle)
+            a, b = lengths[0] * q, lengths[1] * p
+            inverse = 1 / (a + b)
+            s = a * inverse
+            weight = node[1] * ratio * lengths[0] * lengths[1] * dr.square(inverse)       # ds/du
+            v, f = patch.vectors, patch.flux
+            start, end = dr.fma(v[1] - v[0], s, v[0]), dr.fma(v[2] - v[3], s, v[3])
+            frame = edge_frame(start, end)
+            r_start, r_end = safe_length(start), safe_length(end)
+            scale = weight / (r_start * r_end)
+            f_start = dr.fma(f[1] - f[0], s, f[0]) * scale / r_start
+            f_end = dr.fma(f[2] - f[3], s, f[3]) * scale / r_end
+
+            def over_t(node, total, centre, frame, f_start, f_end):
+                centre, frame = _Centre(*centre), EdgeFrame(*frame)
+                p, q, ratio = _slerp(dr.select(single, centre.t, node[0]), frame)
+                weight = dr.select(single, centre.solid_angle, dr.fma(f_start, p, f_end * q) * ratio * node[1])
+                omega = dr.fma(frame.omega_i, p, frame.omega_j * q)
+                omega *= dr.fma(dr.squared_norm(omega), -0.5, 1.5)      # Y_lm near the poles feels a length off by eps as l^2 eps / 2
+                return add(total, omega, weight)
+
+            return fold(*nodes.range(choice_t), nodes.read, over_t, total, (tuple(centre), tuple(frame), f_start, f_end))
+
+        return fold(*nodes.range(choice_s), nodes.read, over_s, total, others)
+
+    return light.fold_patches(over_patch, total, x, active)
+
+
+def project_quadrature(light, x, order: int, max_error: float, active=True) -> list:
+    """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
+    add = lambda total, omega, weight: [dr.fma(weight, y, t) for t, y in zip(total, sh_basis(omega, order))]
+    return integrate(light, x, order, max_error, add, zeros(x, (order + 1) ** 2), active)
+
+
+def quadrature_shader(transfer: list, order: int, max_error: float):
+    """Function ``shade(light, x, active)`` that gives ``sum_lm T_lm L_lm``."""
+    def add(total, omega, weight):
+        value = 0
+        for t, y in zip(transfer, sh_basis(omega, order)):
+            value = dr.fma(t, y, value)
+        return dr.fma(weight, value, total)
+
+    return lambda light, x, active=True: integrate(light, x, order, max_error, add, type(x[0])(0), active)
+
+
+class _Nodes:
+    """Gauss-Legendre rules on [0, 1] with NODE_COUNTS nodes, as tables that lanes read with their own choice of rule."""
+
+    def __init__(self, number, order: int, max_error: float):
+        rules = [np.polynomial.legendre.leggauss(k) for k in NODE_COUNTS]
+        index = dr.uint32_array_t(number)
+        jit = dr.is_jit_v(number)
+        table = lambda kind, values: kind(values) if jit else values
+        self._read = dr.gather if jit else lambda kind, table, i: table[i]
+        self._number, self._index = number, index
+        self._node = table(number, [(1 + u) / 2 for nodes, _ in rules for u in nodes.tolist()])
+        self._weight = table(number, [w / 2 for _, weights in rules for w in weights.tolist()])
+        self._first = table(index, [sum(NODE_COUNTS[:i]) for i in range(len(NODE_COUNTS) + 1)])
+        self._limits = [(2 * math.sin(angle / 2)) ** 2 for angle in node_limits(order, max_error)]
+
+    def choose(self, patch: _Patch, s: tuple, t: tuple) -> tuple:
+        """Rules for s and t, as numbers in NODE_COUNTS; ``len(NODE_COUNTS)`` if none does. `s`, `t`: squared chords."""
+        angle_s, angle_t = _largest(s), _largest(t)
+        choice_s, choice_t = self._count_above(angle_s, self._limits), self._count_above(angle_t, self._limits)
+        choice_s += self._count_above(angle_s, WIDE_S) + self._count_above(_mismatch(patch), MISMATCH)
+        choice_s += dr.select(angle_s > SLIM, self._count_above(angle_t, WIDE_T), 0)
+        return dr.minimum(choice_s, len(NODE_COUNTS)), choice_t
+
+    def _count_above(self, value, limits):
+        number = self._index(0)
+        for limit in limits:
+            number = dr.select(value > limit, number + 1, number)
+        return number
+
+    def enough(self, choice):
+        return choice < len(NODE_COUNTS)
+
+    def range(self, choice):
+        """Rows of the rule in the table; of the largest rule if none is enough."""
+        choice = dr.minimum(choice, len(NODE_COUNTS) - 1)
+        return self._read(self._index, self._first, choice), self._read(self._index, self._first, choice + 1)
+
+    def count(self, choice):
+        first, last = self.range(choice)
+        return last - first
+
+    def read(self, row):
+        return self._read(self._number, self._node, row), self._read(self._number, self._weight, row)
+
+
+class _Centre(NamedTuple):
+    """Where a small patch is put as a single point, in node coordinates, and its solid angle."""
+
+    s: object
+    t: object
+    solid_angle: object
+
+
+def _view(corners, x, exact: bool) -> _Patch:
+    """A patch from `x`. With `exact` the fluxes are accurate to rounding, otherwise to rounding over the sine of the grazing angle."""
+    vectors = [exact_difference(p, x) for p in corners]
+    sides = [exact_difference(corners[(k + 1) % 4], corners[k]) for k in range(4)]
+    largest = largest_component(vectors[0][0])
+    for v, _ in vectors[1:]:
+        largest = dr.maximum(largest, largest_component(v))
+    scale = power_of_two_scale(largest)
+    vectors, sides = ([(v * scale, e * scale) for v, e in pairs] for pairs in (vectors, sides))
+    plain = lambda a, b, c: dr.dot(a[0], dr.cross(b[0], c[0]))
+    flux = [(triple_product if exact else plain)(vectors[k], sides[k - 1], sides[k]) for k in range(4)]
+    vectors = [v for v, _ in vectors]
+    lengths = [safe_length(v) for v in vectors]
+    density = [flux[k] / (lengths[k] * lengths[k - 1] * lengths[(k + 1) % 4]) for k in range(4)]
+    return _Patch(tuple(vectors), tuple(lengths), tuple(flux), tuple(density))
+
+
+def _squared_chords(patch: _Patch) -> tuple:
+    """Squares of the chords ``2 sin(Phi / 2)`` between opposite directions in s, and in t: on both borders and halfway between."""
+    v00, v10, v11, v01 = patch.vectors
+    o00, o10, o11, o01 = (direction(v) for v in patch.vectors)
+    square = lambda a, b: dr.squared_norm(a - b)
+    return ((square(o00, o10), square(o01, o11), square(direction(v00 + v01), direction(v10 + v11))),
+            (square(o00, o01), square(o10, o11), square(direction(v00 + v10), direction(v01 + v11))))
+
+
+def _long_side_inside(patch: _Patch) -> tuple:
+    """(patch, squared chords in s, in t) with s and t exchanged if s is seen under the larger angle: the integral over t is the exact one."""
+    s, t = _squared_chords(patch)
+    swap = _largest(s) > _largest(t)
+    flip = lambda values: (values[0], dr.select(swap, values[3], values[1]), values[2], dr.select(swap, values[1], values[3]))
+    return _Patch(*(flip(values) for values in patch)), dr.select(swap, t, s), dr.select(swap, s, t)
+
+
+def _mismatch(patch: _Patch):
+    r_00, r_10, r_11, r_01 = patch.lengths
+    even, odd = r_00 * r_11, r_10 * r_01
+    return dr.maximum(even, odd) / dr.minimum(even, odd)
+
+
+def _largest(values: tuple):
+    return functools.reduce(dr.maximum, values)
+
+
+def _rough_solid_angle(patch: _Patch, s: tuple, t: tuple):
+    """Signed solid angle of the two triangles that the diagonal cuts off, within a factor of a few ([W18] eq. 24 without the arc tangent)."""
+    diagonal = dr.squared_norm(direction(patch.vectors[0]) - direction(patch.vectors[2]))
+    total = 0
+    for numerator, chords in ((patch.density[1], (s[0], t[1])), (patch.density[3], (s[1], t[0]))):
+        denominator = 4 - 0.5 * (chords[0] + chords[1] + diagonal)      # a . b = 1 - |a - b|^2 / 2
+        small = denominator > abs(numerator)
+        total = total + dr.select(small, 2 * numerator / dr.select(small, denominator, 1), dr.select(numerator > 0, math.pi, -math.pi))
+    return total
+
+
+def _centre(density: tuple, small):
+    """Centroid of the solid angle of a small patch as node coordinates, and whether to use it: `small`, and no change of sign inside."""
+    d00, d10, d11, d01 = density
+    total = d00 + d10 + d11 + d01
+    size = abs(d00) + abs(d10) + abs(d11) + abs(d01)
+    single = small & (abs(total) == size)
+    safe = dr.select(total != 0, total, 1)
+    s, t = 1 / 3 + (d10 + d11) / (3 * safe), 1 / 3 + (d01 + d11) / (3 * safe)
+    return _Centre(s, t, total * 0.25), single
+
+
+def _slerp(u, frame):
+    """(p, q, ratio) of equations (2) and (3): weights of the arc's ends at the fraction u of its angle, and ``Phi / sin Phi``."""
+    curved = frame.arc > 0
+    sin = dr.select(curved, frame.sin, 1)
+    p, q = dr.sin((1 - u) * frame.arc) / sin, dr.sin(u * frame.arc) / sin
+    return dr.select(curved, p, 1 - u), dr.select(curved, q, u), dr.select(curved, frame.arc / sin, 1)
