@@ -171,6 +171,14 @@ class VertexList:
         n = len(self.vertices)
         return self._fold(n, lambda e: (e, dr.select(e + 1 < n, e + 1, 0)), _adding(term), zeros(x, width), (x, apex), active)
 
+    def only_strip(self):
+        """Corners of the strip if there is only one, otherwise None."""
+        v = self.vertices
+        return (v[0], v[1], v[-2], v[-1]) if len(v) <= 4 else None
+
+    def strip_count(self):
+        return (len(self.vertices) - 1) // 2
+
     def fold_patches(self, body, total, x, active=True):
         """Run ``total = body(corners, total, x)`` over strips that together have the polygon's boundary; lanes not `active` stay.
 
@@ -178,7 +186,7 @@ class VertexList:
         Strips keep one direction of a many-sided light short. Of a non-convex polygon they may overlap with opposite signs.
         """
         n = len(self.vertices)
-        return self._fold((n - 1) // 2, lambda i: (i, i + 1, n - 2 - i, n - 1 - i), body, total, (x,), active)
+        return self._fold(self.strip_count(), lambda i: (i, i + 1, n - 2 - i, n - 1 - i), body, total, (x,), active)
 
     def _fold(self, count: int, corners, body, total, others: tuple, active):
         v, x = self.vertices, others[0]
@@ -230,6 +238,12 @@ class EdgeBuffer:
         corners = lambda e: tuple(self._vertex(x, dr.gather(type(self.start), table, e)) for table in (self.start, self.end))
         return fold(self.first, self.last, corners, _adding(term), zeros(x, width), (x, apex), active)
 
+    def only_strip(self):
+        return None                                   # may differ between lanes
+
+    def strip_count(self):
+        return self.patches[2] - self.patches[1]
+
     def fold_patches(self, body, total, x, active=True):
         """As :py:meth:`VertexList.fold_patches`."""
         table, first, last = self.patches
@@ -245,7 +259,7 @@ def fold(first, last, read, body, total, others: tuple = (), active=True):
 
     `others`: what the body needs and may carry derivatives.
     """
-    last = dr.select(active, last, first)
+    last = last if active is True else dr.select(active, last, first)
     if not dr.is_jit_v(last):
         for i in range(first, last):
             total = body(read(i), total, *others)

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import drjit as dr
+import numpy as np
 
 from ..errors import check_choice, check_number, message
 from ..sh.basis import check_order
@@ -16,9 +17,9 @@ METHODS = ("auto", "recurrence", "edge", "quadrature")
 MAX_ERROR = (4e-6, 1e-12)
 """Default of `max_error` in float32 and float64: what the boundary forms reach for lights of moderate size, with some room."""
 
-POINTS_PER_EDGE = ((0, 20), (2, 6), (4, 4), (8, 2.5), (14, 3))
-"""Cost of one edge of the ``edge`` form in cubature points, by order: below the count that it buys cubature is cheaper. From
-validation/engine.py; flat in between, and no sharp optimum."""
+COSTS = {0: (4, 18, 1), 2: (4.5, 18, 1.6), 4: (6, 18, 2.5), 8: (11, 20, 7), 14: (40, 22, 15), 20: (85, 25, 30)}
+"""Cost of one edge of the ``edge`` form, one strip and one point of cubature, by order, in nanoseconds of one thread: their ratios decide
+where cubature is cheaper (validation/engine.py). Linear in between."""
 
 
 def check_method(function: str, method: str, order: int) -> None:
@@ -143,8 +144,9 @@ def prefers_cubature(light, x, order: int, max_error: float):
     rounding = dr.epsilon(x) * need.perimeter
     inexact = rounding > max_error * need.solid_angle
     useless = rounding > 4 * max_error * need.solid_angle
-    worth = next(points for limit, points in reversed(POINTS_PER_EDGE) if order >= limit)
-    cheap = type(x[0])(need.points) <= worth * type(x[0])(light.edge_count())
+    number = type(x[0])
+    edge, strip, point = (float(np.interp(order, list(COSTS), costs)) for costs in zip(*COSTS.values()))
+    cheap = strip * number(light.strip_count()) + point * number(need.points) < edge * number(light.edge_count())
     return need.possible & dr.select(need.enough, inexact | cheap, useless)
 
 

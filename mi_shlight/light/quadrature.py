@@ -32,7 +32,7 @@ import numpy as np
 
 from ..sh.basis import sh_basis
 from ..sh.lobes import sh_matrix
-from .polygon import (EdgeFrame, direction, edge_frame, exact_difference, fold, largest_component, power_of_two_scale, safe_length,
+from .polygon import (EdgeFrame, edge_frame, exact_difference, fold, largest_component, power_of_two_scale, safe_length,
                       triple_product, zeros)
 
 NODE_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)
@@ -46,7 +46,7 @@ MISMATCH = (1.1, 1.8, 2.6, 3.5, 5.0, 6.5, 8.0, 12.0)
 HOPELESS_T, HOPELESS_MISMATCH = _squared_chord(2.8), 20.0
 """The integral over t is not quite a trigonometric polynomial in s if the patch is seen under wide angles, or if distances along its two
 borders rise differently (``|00| |11|`` against ``|10| |01|``). For each of these limits exceeded s takes the next larger rule; those
-in t do not count for a patch slim in s. Beyond the last two, which a point near the border meets, no rule helps. See
+in t do not count for a patch slim in s. Beyond the HOPELESS ones, which a point near the border meets, no rule helps. See
 validation/quadrature_rule.py."""
 
 
@@ -65,14 +65,30 @@ class Demand(NamedTuple):
     """Estimate within a factor of a few, in radians."""
 
 
-class _Patch(NamedTuple):
+class _View(NamedTuple):
+    """A strip from the shading point: what its number of nodes depends on."""
+
     vectors: tuple
-    """Corners 00, 10, 11, 01 in (s, t) relative to the shading point, scaled by a power of two."""
+    """Corners 00, 10, 11, 01 in (s, t) relative to the shading point, scaled."""
+    scale: object
+    """The power of two that they are scaled by."""
     lengths: tuple
+    sides: tuple
+    """Squared chords ``(2 sin(Phi / 2))^2`` of the sides 00-10, 10-11, 11-01, 01-00."""
+    narrow: object
+    """Largest squared chord in the direction that is seen under the smaller angle: on both borders and halfway between."""
+    wide: object
+    """The same in the other direction."""
+    swapped: object
+    """True if s is the wide one. The narrow one is then called s: the integral over t has no error but that of its nodes."""
+
+
+class _Patch(NamedTuple):
+    """A strip in the roles of s and t that it has for the cubature; corners 00, 10, 11, 01."""
+
+    vectors: tuple
     flux: tuple
     """F of equation (1) at the corners."""
-    density: tuple
-    """Solid angle per unit of the node coordinates at the corners; their mean is the solid angle of a small patch."""
 
 
 @functools.lru_cache(maxsize=None)
@@ -107,19 +123,25 @@ def node_limits(order: int, max_error: float) -> tuple:
 
 def demand(light, x, order: int, max_error: float) -> Demand:
     """How many points cubature of `light` from `x` would take."""
-    number = type(x[0])
-    nodes = _Nodes(number, order, max_error)
+    nodes, light, x = _Nodes(type(x[0]), order, max_error), light.detached(), dr.detach(x)
 
     def body(corners, total, x):
         points, enough, possible, solid_angle, along, across = total
-        patch, s, t = _long_side_inside(_view(corners, x, exact=False))
-        choice_s, choice_t = nodes.choose(patch, s, t)
-        return (points + nodes.count(choice_s) * nodes.count(choice_t), enough & nodes.enough(choice_s) & nodes.enough(choice_t),
-                possible & (_largest(t) < HOPELESS_T) & (_mismatch(patch) < HOPELESS_MISMATCH), solid_angle + _rough_solid_angle(patch, s, t), along + dr.sqrt(s[0]) + dr.sqrt(s[1]), dr.maximum(across, _largest(t)))
+        view = _view(corners, x)
+        choice_s, choice_t = nodes.choose(view)
+        count = nodes.count(choice_s) * nodes.count(choice_t)
+        enough = enough & (choice_s < len(NODE_COUNTS)) & (choice_t < len(NODE_COUNTS))
+        possible = possible & (view.wide < HOPELESS_T) & (_mismatch(view) < HOPELESS_MISMATCH)
+        along = along + dr.sqrt(view.sides[0]) + dr.sqrt(view.sides[2])
+        return (points + count, enough, possible, solid_angle + _rough_solid_angle(view), along,
+                dr.maximum(across, dr.maximum(view.sides[1], view.sides[3])))
 
-    zero = number(0)
-    start = (dr.uint32_array_t(zero)(0), dr.mask_t(zero)(True), dr.mask_t(zero)(True), zero, zero, zero)
-    points, enough, possible, solid_angle, along, across = light.detached().fold_patches(body, start, dr.detach(x))
+    zero = type(x[0])(0)
+    yes = dr.mask_t(zero)(True)
+    total = dr.uint32_array_t(zero)(0), yes, yes, zero, zero, zero
+    strip = light.only_strip()
+    total = body(strip, total, x) if strip else light.fold_patches(body, total, x)
+    points, enough, possible, solid_angle, along, across = total
     return Demand(points, enough, possible, abs(solid_angle), along + 2 * dr.sqrt(across))
 
 
@@ -127,10 +149,11 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
     """Run ``total = add(total, omega, weight)`` over the cubature points of `light`: directions and their solid angles."""
     nodes = _Nodes(type(x[0]), order, max_error)
 
-    def over_patch(corners, total, x):
-        patch, s, t = _long_side_inside(_view(corners, x, exact=True))
-        choice_s, choice_t = nodes.choose(patch, s, t)
-        centre, single = _centre(patch.density, (choice_s == 0) & (choice_t == 0))
+    def over_patch(corners, total, x, view):
+        view = _View(*view)
+        choice_s, choice_t = nodes.choose(view)
+        patch = _patch(corners, x, view)
+        centre, single = _centre(patch, (choice_s == 0) & (choice_t == 0))
         choice_s, choice_t = (dr.select(single | (choice > 0), choice, 1) for choice in (choice_s, choice_t))
         v00, v10, v11, v01 = patch.vectors
         middle = v00 + v01, v10 + v11
@@ -138,13 +161,12 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
         others = (tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths)     # Dr.Jit's loops see no members of named tuples
 
         def over_s(node, total, patch, centre, middle, lengths):
-            patch, centre, middle = _Patch(*patch), _Centre(*centre), EdgeFrame(*middle)
+            (v, f), centre, middle = patch, _Centre(*centre), EdgeFrame(*middle)
             p, q, ratio = _slerp(dr.select(single, centre.s, node[0]), middle)
             a, b = lengths[0] * q, lengths[1] * p
             inverse = 1 / (a + b)
             s = a * inverse
             weight = node[1] * ratio * lengths[0] * lengths[1] * dr.square(inverse)       # ds/du
-            v, f = patch.vectors, patch.flux
             start, end = dr.fma(v[1] - v[0], s, v[0]), dr.fma(v[2] - v[3], s, v[3])
             frame = edge_frame(start, end)
             r_start, r_end = safe_length(start), safe_length(end)
@@ -157,14 +179,19 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
                 p, q, ratio = _slerp(dr.select(single, centre.t, node[0]), frame)
                 weight = dr.select(single, centre.solid_angle, dr.fma(f_start, p, f_end * q) * ratio * node[1])
                 omega = dr.fma(frame.omega_i, p, frame.omega_j * q)
-                omega *= dr.fma(dr.squared_norm(omega), -0.5, 1.5)      # Y_lm near the poles feels a length off by eps as l^2 eps / 2
+                omega = omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)      # Y_lm near the poles feels a length off by eps as l^2 eps / 2
                 return add(total, omega, weight)
 
             return fold(*nodes.range(choice_t), nodes.read, over_t, total, (tuple(centre), tuple(frame), f_start, f_end))
 
         return fold(*nodes.range(choice_s), nodes.read, over_s, total, others)
 
-    return light.fold_patches(over_patch, total, x, active)
+    strip = light.only_strip()
+    if strip:                                         # the view is the one that demand() had
+        index = dr.uint32_array_t(type(x[0]))
+        body = lambda _, total, x, strip, view: over_patch(strip, total, x, view)
+        return fold(index(0), index(1), lambda i: i, body, total, (x, strip, tuple(_view(strip, x))), active)
+    return light.fold_patches(lambda corners, total, x: over_patch(corners, total, x, _view(corners, x)), total, x, active)
 
 
 def project_quadrature(light, x, order: int, max_error: float, active=True) -> list:
@@ -197,15 +224,14 @@ class _Nodes:
         self._node = table(number, [(1 + u) / 2 for nodes, _ in rules for u in nodes.tolist()])
         self._weight = table(number, [w / 2 for _, weights in rules for w in weights.tolist()])
         self._first = table(index, [sum(NODE_COUNTS[:i]) for i in range(len(NODE_COUNTS) + 1)])
-        self._limits = [(2 * math.sin(angle / 2)) ** 2 for angle in node_limits(order, max_error)]
+        self._count = table(index, NODE_COUNTS)
+        self._limits = [_squared_chord(angle) for angle in node_limits(order, max_error)]
 
-    def choose(self, patch: _Patch, s: tuple, t: tuple) -> tuple:
-        """Rules for s and t, as numbers in NODE_COUNTS; ``len(NODE_COUNTS)`` if none does. `s`, `t`: squared chords."""
-        angle_s, angle_t = _largest(s), _largest(t)
-        choice_s, choice_t = self._count_above(angle_s, self._limits), self._count_above(angle_t, self._limits)
-        choice_s += self._count_above(angle_s, WIDE_S) + self._count_above(_mismatch(patch), MISMATCH)
-        choice_s += dr.select(angle_s > SLIM, self._count_above(angle_t, WIDE_T), 0)
-        return dr.minimum(choice_s, len(NODE_COUNTS)), choice_t
+    def choose(self, view: _View) -> tuple:
+        """Rules for s and t, as numbers in NODE_COUNTS; ``len(NODE_COUNTS)`` or more if none does."""
+        s = self._count_above(view.narrow, [*self._limits, *WIDE_S]) + self._count_above(_mismatch(view), MISMATCH)
+        s = dr.select(view.narrow > SLIM, s + self._count_above(view.wide, WIDE_T), s)
+        return s, self._count_above(view.wide, self._limits)
 
     def _count_above(self, value, limits):
         number = self._index(0)
@@ -213,17 +239,14 @@ class _Nodes:
             number = dr.select(value > limit, number + 1, number)
         return number
 
-    def enough(self, choice):
-        return choice < len(NODE_COUNTS)
+    def count(self, choice):
+        """Number of nodes of a rule."""
+        return self._read(self._index, self._count, dr.minimum(choice, len(NODE_COUNTS) - 1))
 
     def range(self, choice):
         """Rows of the rule in the table; of the largest rule if none is enough."""
         choice = dr.minimum(choice, len(NODE_COUNTS) - 1)
         return self._read(self._index, self._first, choice), self._read(self._index, self._first, choice + 1)
-
-    def count(self, choice):
-        first, last = self.range(choice)
-        return last - first
 
     def read(self, row):
         return self._read(self._number, self._node, row), self._read(self._number, self._weight, row)
@@ -237,67 +260,56 @@ class _Centre(NamedTuple):
     solid_angle: object
 
 
-def _view(corners, x, exact: bool) -> _Patch:
-    """A patch from `x`. With `exact` the fluxes are accurate to rounding, otherwise to rounding over the sine of the grazing angle."""
-    vectors = [exact_difference(p, x) for p in corners]
-    sides = [exact_difference(corners[(k + 1) % 4], corners[k]) for k in range(4)]
-    largest = largest_component(vectors[0][0])
-    for v, _ in vectors[1:]:
-        largest = dr.maximum(largest, largest_component(v))
-    scale = power_of_two_scale(largest)
-    vectors, sides = ([(v * scale, e * scale) for v, e in pairs] for pairs in (vectors, sides))
-    plain = lambda a, b, c: dr.dot(a[0], dr.cross(b[0], c[0]))
-    flux = [(triple_product if exact else plain)(vectors[k], sides[k - 1], sides[k]) for k in range(4)]
-    vectors = [v for v, _ in vectors]
+def _view(corners, x) -> _View:
+    vectors = [p - x for p in corners]
+    scale = power_of_two_scale(functools.reduce(dr.maximum, map(largest_component, vectors)))
+    v00, v10, v11, v01 = vectors = [v * scale for v in vectors]
     lengths = [safe_length(v) for v in vectors]
-    density = [flux[k] / (lengths[k] * lengths[k - 1] * lengths[(k + 1) % 4]) for k in range(4)]
-    return _Patch(tuple(vectors), tuple(lengths), tuple(flux), tuple(density))
+    omega = [v * (1 / r) for v, r in zip(vectors, lengths)]
+    unit = lambda v: v * (1 / safe_length(v))
+    sides = [dr.squared_norm(omega[k] - omega[(k + 1) % 4]) for k in range(4)]
+    s = dr.maximum(dr.maximum(sides[0], sides[2]), dr.squared_norm(unit(v00 + v01) - unit(v10 + v11)))
+    t = dr.maximum(dr.maximum(sides[1], sides[3]), dr.squared_norm(unit(v00 + v10) - unit(v01 + v11)))
+    return _View(tuple(vectors), scale, tuple(lengths), tuple(sides), dr.minimum(s, t), dr.maximum(s, t), s > t)
 
 
-def _squared_chords(patch: _Patch) -> tuple:
-    """Squares of the chords ``2 sin(Phi / 2)`` between opposite directions in s, and in t: on both borders and halfway between."""
-    v00, v10, v11, v01 = patch.vectors
-    o00, o10, o11, o01 = (direction(v) for v in patch.vectors)
-    square = lambda a, b: dr.squared_norm(a - b)
-    return ((square(o00, o10), square(o01, o11), square(direction(v00 + v01), direction(v10 + v11))),
-            (square(o00, o01), square(o10, o11), square(direction(v00 + v10), direction(v01 + v11))))
+def _patch(corners, x, view: _View) -> _Patch:
+    """The strip for the cubature, with its fluxes to full relative accuracy."""
+    scaled = lambda pair: (pair[0] * view.scale, pair[1] * view.scale)
+    vectors = [scaled(exact_difference(p, x)) for p in corners]
+    sides = [scaled(exact_difference(corners[(k + 1) % 4], corners[k])) for k in range(4)]
+    flux = [triple_product(vectors[k], sides[k - 1], sides[k]) for k in range(4)]
+    turn = lambda a: (a[0], dr.select(view.swapped, a[3], a[1]), a[2], dr.select(view.swapped, a[1], a[3]))
+    return _Patch(turn(view.vectors), turn(flux))
 
 
-def _long_side_inside(patch: _Patch) -> tuple:
-    """(patch, squared chords in s, in t) with s and t exchanged if s is seen under the larger angle: the integral over t is the exact one."""
-    s, t = _squared_chords(patch)
-    swap = _largest(s) > _largest(t)
-    flip = lambda values: (values[0], dr.select(swap, values[3], values[1]), values[2], dr.select(swap, values[1], values[3]))
-    return _Patch(*(flip(values) for values in patch)), dr.select(swap, t, s), dr.select(swap, s, t)
-
-
-def _mismatch(patch: _Patch):
-    r_00, r_10, r_11, r_01 = patch.lengths
+def _mismatch(view: _View):
+    r_00, r_10, r_11, r_01 = view.lengths
     even, odd = r_00 * r_11, r_10 * r_01
     return dr.maximum(even, odd) / dr.minimum(even, odd)
 
 
-def _largest(values: tuple):
-    return functools.reduce(dr.maximum, values)
-
-
-def _rough_solid_angle(patch: _Patch, s: tuple, t: tuple):
-    """Signed solid angle of the two triangles that the diagonal cuts off, within a factor of a few ([W18] eq. 24 without the arc tangent)."""
-    diagonal = dr.squared_norm(direction(patch.vectors[0]) - direction(patch.vectors[2]))
+def _rough_solid_angle(view: _View):
+    """Signed solid angle of the two triangles that a diagonal cuts off, within a factor of a few: van Oosterom's quotient without arc tangent."""
+    v, r, sides = view.vectors, view.lengths, view.sides
+    diagonal = dr.squared_norm(v[0] * (1 / r[0]) - v[2] * (1 / r[2]))
     total = 0
-    for numerator, chords in ((patch.density[1], (s[0], t[1])), (patch.density[3], (s[1], t[0]))):
-        denominator = 4 - 0.5 * (chords[0] + chords[1] + diagonal)      # a . b = 1 - |a - b|^2 / 2
+    for k in (1, 3):
+        before, after = (k - 1) % 4, (k + 1) % 4
+        numerator = dr.dot(v[k], dr.cross(v[k] - v[before], v[after] - v[k])) / (r[before] * r[k] * r[after])
+        denominator = 4 - 0.5 * (sides[before] + sides[k] + diagonal)       # a . b = 1 - |a - b|^2 / 2
         small = denominator > abs(numerator)
         total = total + dr.select(small, 2 * numerator / dr.select(small, denominator, 1), dr.select(numerator > 0, math.pi, -math.pi))
     return total
 
 
-def _centre(density: tuple, small):
+def _centre(patch: _Patch, small) -> tuple:
     """Centroid of the solid angle of a small patch as node coordinates, and whether to use it: `small`, and no change of sign inside."""
-    d00, d10, d11, d01 = density
+    r = [safe_length(v) for v in patch.vectors]
+    # solid angle per unit of the node coordinates at the corners, nearly bilinear
+    d00, d10, d11, d01 = (patch.flux[k] / (r[k - 1] * r[k] * r[(k + 1) % 4]) for k in range(4))
     total = d00 + d10 + d11 + d01
-    size = abs(d00) + abs(d10) + abs(d11) + abs(d01)
-    single = small & (abs(total) == size)
+    single = small & (abs(total) == abs(d00) + abs(d10) + abs(d11) + abs(d01))
     safe = dr.select(total != 0, total, 1)
     s, t = 1 / 3 + (d10 + d11) / (3 * safe), 1 / 3 + (d01 + d11) / (3 * safe)
     return _Centre(s, t, total * 0.25), single
