@@ -25,7 +25,7 @@ def vectors3(function: str, **arguments):
         number = dr.expr_t(*(type(c) for c in flat))
     except (TypeError, RuntimeError):
         number = None
-    array = _array3(number)
+    array = array3(number)
     if array is None:
         name = next(iter(arguments))
         raise TypeError(message(function, name, _RULE + " of one backend (llvm, cuda or scalar), float32 or float64",
@@ -51,8 +51,8 @@ def _components(function: str, name: str, value) -> tuple:
     return tuple(float(c) if isinstance(c, int) or type(c).__module__ == "numpy" else c for c in components)
 
 
-def _array3(number):
-    """The ``Array3f`` or ``Array3f64`` whose entries are `number`, or None."""
+def array3(number):
+    """The plain vector type ``Array3f`` or ``Array3f64`` whose entries are `number`, or None if there is none."""
     if number is float:
         return sys.modules["drjit"].scalar.Array3f64
     if number is None or not (dr.is_float_v(number) and dr.is_jit_v(number) and dr.depth_v(number) == 1):

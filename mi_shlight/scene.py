@@ -358,7 +358,8 @@ class LightTable:
             first, last = dr.gather(mi.UInt32, table, light), dr.gather(mi.UInt32, table, light + 1)
             return first, dr.select(active & facing, last, first)
 
-        return EdgeBuffer(self.positions, self.start, self.end, *owned(self.first_edge), (self.patches, *owned(self.first_patch)))
+        return EdgeBuffer(self.positions, self.start, self.end, *owned(self.first_edge), (self.patches, *owned(self.first_patch)),
+                          all(len(light.patches) == 1 for light in self._lights))
 
     def apex(self, light, x):
         """Unit vector from `x` into the light: apex of the solid angle's fan."""

@@ -168,7 +168,7 @@ class LightBuffers:
 
     def light(self, k) -> EdgeBuffer:
         bounds = lambda table: (dr.gather(UInt32, table, k), dr.gather(UInt32, table, k + 1))
-        return EdgeBuffer(self.positions, self.start, self.end, *bounds(self.first_edge), (self.strips, *bounds(self.first_strip)))
+        return EdgeBuffer(self.positions, self.start, self.end, *bounds(self.first_edge), (self.strips, *bounds(self.first_strip)), False)
 
 
 def shade_all(method: str, order: int, lights: LightBuffers, points: Points):

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import drjit as dr
 
+from ..arrays import array3
+
 
 class EdgeFrame(NamedTuple):
     """One edge of the polygon as a great-circle arc on the unit sphere about the shading point."""
@@ -221,37 +223,42 @@ class EdgeBuffer:
     """Directed edges and strips of a light inside flat buffers: polygons with holes, many lights, differentiable vertices.
 
     ``positions``: flat x, y, z of all vertices; ``start``, ``end``: vertex indices of each edge; the light owns the edges
-    ``first .. last - 1`` (may differ between lanes). ``patches`` = (corners, first, last): four vertex indices per strip, flat.
+    ``first .. last - 1`` (may differ between lanes). ``patches`` = (corners, first, last): four vertex indices per strip, flat;
+    ``one_strip``: no light of the buffer has more than one.
     """
 
-    def __init__(self, positions, start, end, first, last, patches):
-        self.positions, self.start, self.end, self.first, self.last, self.patches = positions, start, end, first, last, patches
+    def __init__(self, positions, start, end, first, last, patches, one_strip: bool):
+        self.positions, self.start, self.end, self.first, self.last = positions, start, end, first, last
+        self.patches, self.one_strip = patches, one_strip
 
     def detached(self):
-        return EdgeBuffer(dr.detach(self.positions), self.start, self.end, self.first, self.last, self.patches)
+        return EdgeBuffer(dr.detach(self.positions), self.start, self.end, self.first, self.last, self.patches, self.one_strip)
 
     def edge_count(self):
         return self.last - self.first
 
     def sum(self, term, x, apex, width: int, active=True) -> list:
         """As :py:meth:`VertexList.sum`."""
-        corners = lambda e: tuple(self._vertex(x, dr.gather(type(self.start), table, e)) for table in (self.start, self.end))
+        corners = lambda e: tuple(self._vertex(dr.gather(type(self.start), table, e)) for table in (self.start, self.end))
         return fold(self.first, self.last, corners, _adding(term), zeros(x, width), (x, apex), active)
 
     def only_strip(self):
-        return None                                   # may differ between lanes
+        """As :py:meth:`VertexList.only_strip`; that of any light where a lane has none."""
+        return self._strip(self.patches[1]) if self.one_strip else None
 
     def strip_count(self):
         return self.patches[2] - self.patches[1]
 
     def fold_patches(self, body, total, x, active=True):
         """As :py:meth:`VertexList.fold_patches`."""
-        table, first, last = self.patches
-        corners = lambda i: tuple(self._vertex(x, dr.gather(type(table), table, 4 * i + k)) for k in range(4))
-        return fold(first, last, corners, body, total, (x,), active)
+        return fold(*self.patches[1:], self._strip, body, total, (x,), active)
 
-    def _vertex(self, x, index):
-        return dr.gather(type(x), self.positions, index)
+    def _strip(self, i):
+        table = self.patches[0]
+        return tuple(self._vertex(dr.gather(type(table), table, 4 * i + k)) for k in range(4))
+
+    def _vertex(self, index):
+        return dr.gather(array3(type(self.positions)), self.positions, index)
 
 
 def fold(first, last, read, body, total, others: tuple = (), active=True):

@@ -190,7 +190,7 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
     if strip:                                         # the view is the one that demand() had
         index = dr.uint32_array_t(type(x[0]))
         body = lambda _, total, x, strip, view: over_patch(strip, total, x, view)
-        return fold(index(0), index(1), lambda i: i, body, total, (x, strip, tuple(_view(strip, x))), active)
+        return fold(index(0), index(light.strip_count()), lambda i: i, body, total, (x, strip, tuple(_view(strip, x))), active)
     return light.fold_patches(lambda corners, total, x: over_patch(corners, total, x, _view(corners, x)), total, x, active)
 
 
