@@ -13,7 +13,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - method
    - |string|
-   - How polygons are projected: ``recurrence``, ``edge``, ``quadrature`` or ``auto``, see :py:func:`mi_shlight.project_polygon`. (Default: ``auto``)
+   - How polygons are projected: ``recurrence``, ``edge``, ``quadrature`` or ``auto``, see :py:func:`mi_shlight.project_polygon`.
+     (Default: ``auto``)
 
  * - transfer
    - |string|
@@ -94,7 +95,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
-from ..light.project import check_method, light_shader, project_light
+from ..light.project import METHODS, light_shader, project_light
 from ..light.zonal import times_pole_value, zonal_lambert, zonal_shader
 from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
@@ -115,7 +116,7 @@ def read_parameters(props) -> dict:
     check_parameters("shprt", props, tuple(DEFAULTS))
     value = {name: props.get(name, default) for name, default in DEFAULTS.items()}
     value["order"] = check_order("shprt", value["order"])
-    check_method("shprt", value["method"], value["order"])
+    check_choice("shprt", "method", value["method"], METHODS)
     check_choice("shprt", "transfer", value["transfer"], ("unshadowed", "shadowed"))
     check_choice("shprt", "transfer_domain", value["transfer_domain"], tuple(DEFAULT_SAMPLES))
     hint = "It is a number of rays; 0 chooses by transfer_domain."

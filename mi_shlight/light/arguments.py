@@ -18,12 +18,12 @@ def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
     if len(vertices) < 3:
         raise ValueError(message(function, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
     vertices, *others = vectors3(function, vertices=list(vertices), x=x, **vectors)
-    vertices, (x, *others) = [_not_literal(v) for v in vertices], [_not_literal(v) for v in others]
+    vertices, (x, *others) = [not_literal(v) for v in vertices], [not_literal(v) for v in others]
     vertices, x = [v * 0.25 for v in vertices], x * 0.25       # differences of the largest numbers stay finite
     return VertexList(vertices), x, interior_direction(vertices, x), *others
 
 
-def _not_literal(v):
+def not_literal(v):
     """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
     literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
     return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))

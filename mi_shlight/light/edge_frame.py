@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from typing import NamedTuple
 
 import drjit as dr
@@ -29,8 +30,9 @@ import numpy as np
 from ..sh.lobes import fibonacci_hemisphere, sh_matrix
 from .polygon import EdgeFrame, edge_frame, fan_solid_angle
 
-MAX_EDGE_ORDER = 20
-"""One edge is one piece of straight code, about order^3 / 2 operations; above this order it takes too long to compile."""
+BODY_SIZE = 5000
+"""Multiplications by X in one loop body: order 20 just fits. Higher degrees get loops of their own, as straight code compiles the slower
+the longer it is."""
 
 MONOPOLE = 1 / math.sqrt(4 * math.pi)
 
@@ -72,25 +74,27 @@ def constants(order: int) -> Constants:
 
 def project_edge(light, x, apex, order: int, active=True) -> list:
     """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
-    table = constants(order)
+    table, coeffs = constants(order), []
+    for bands in _bodies(order):
+        def term(v_i, v_j, apex, bands=bands):
+            frame = edge_frame(v_i, v_j)
+            (alpha, beta, phi), length = _angles(frame, bands[-1])
+            wave = [[f * c[m] for m, f in enumerate(length)] for c in phi]
+            local = [None] * (order + 1) ** 2         # None: zero by symmetry
+            for l, m, i, j in _odd(bands):
+                local[i] = wave[0][m] * table.slope[i]
+                if m:
+                    local[j] = wave[1][m] * table.slope[i]
+            values = _product(table.x90, local, bands)
+            values = _rotate_z(values, *beta, bands)
+            values = _product(table.x90_transposed, values, bands)
+            values = _rotate_z(values, *alpha, bands)
+            if bands[0] == 0:
+                values[0] = fan_solid_angle(apex, frame) * MONOPOLE
+            return [values[i] for i in _flat(bands)]
 
-    def term(v_i, v_j, apex):
-        frame = edge_frame(v_i, v_j)
-        (alpha, beta, phi), length = _angles(frame, order)
-        wave = [[f * c[m] for m, f in enumerate(length)] for c in phi]
-        local = [None] * (order + 1) ** 2             # None: zero by symmetry
-        for l, m, i, j in _odd(order):
-            local[i] = wave[0][m] * table.slope[i]
-            if m:
-                local[j] = wave[1][m] * table.slope[i]
-        values = _product(table.x90, local)
-        values = _rotate_z(values, *beta, order)
-        values = _product(table.x90_transposed, values)
-        values = _rotate_z(values, *alpha, order)
-        values[0] = fan_solid_angle(apex, frame) * MONOPOLE
-        return values
-
-    return light.sum(term, x, apex, (order + 1) ** 2, active)
+        coeffs += light.sum(term, x, apex, len(_flat(bands)), active)
+    return coeffs
 
 
 def edge_form_shader(transfer: list, order: int):
@@ -99,27 +103,48 @@ def edge_form_shader(transfer: list, order: int):
     odd = [value != 0 for value in table.slope]
     met = [any(odd[j] for j, _ in row) for row in table.x90]
 
-    def term(v_i, v_j, apex):
-        frame = edge_frame(v_i, v_j)
-        (alpha, beta, phi), length = _angles(frame, order)
-        back = lambda angle: (angle[0], [-s for s in angle[1]])
-        values = _rotate_z(transfer, *back(alpha), order)
-        values = _product(table.x90, values)
-        values = _rotate_z(values, *back(beta), order, met)
-        values = _product(table.x90_transposed, values, odd)
-        cosine, sine = [None] * (order + 1), [None] * (order + 1)
-        for l, m, i, j in _odd(order):
-            cosine[m] = _add(cosine[m], values[i], table.slope[i])
-            if m:
-                sine[m] = _add(sine[m], values[j], table.slope[i])
-        total = transfer[0] * fan_solid_angle(apex, frame) * MONOPOLE
-        for m, f in enumerate(length):
-            if cosine[m] is not None:
-                wave = cosine[m] * phi[0][m] if sine[m] is None else dr.fma(cosine[m], phi[0][m], sine[m] * phi[1][m])
-                total = dr.fma(wave, f, total)
-        return [total]
+    def term_of(bands):
+        def term(v_i, v_j, apex):
+            frame = edge_frame(v_i, v_j)
+            (alpha, beta, phi), length = _angles(frame, bands[-1])
+            back = lambda angle: (angle[0], [-s for s in angle[1]])
+            values = _rotate_z(transfer, *back(alpha), bands)
+            values = _product(table.x90, values, bands)
+            values = _rotate_z(values, *back(beta), bands, met)
+            values = _product(table.x90_transposed, values, bands, odd)
+            cosine, sine = [None] * (order + 1), [None] * (order + 1)
+            for l, m, i, j in _odd(bands):
+                cosine[m] = _add(cosine[m], values[i], table.slope[i])
+                if m:
+                    sine[m] = _add(sine[m], values[j], table.slope[i])
+            total = transfer[0] * fan_solid_angle(apex, frame) * MONOPOLE if bands[0] == 0 else 0
+            for m, f in enumerate(length):
+                if cosine[m] is not None:
+                    wave = cosine[m] * phi[0][m] if sine[m] is None else dr.fma(cosine[m], phi[0][m], sine[m] * phi[1][m])
+                    total = dr.fma(wave, f, total)
+            return [total]
 
-    return lambda light, x, apex, active=True: light.sum(term, x, apex, 1, active)[0]
+        return term
+
+    terms = [term_of(bands) for bands in _bodies(order)]
+    return lambda light, x, apex, active=True: functools.reduce(operator.add, (light.sum(t, x, apex, 1, active)[0] for t in terms))
+
+
+def _bodies(order: int) -> list:
+    """Degrees 0 .. order in ranges, each small enough for one loop body; what they share, the edge's frame, is little."""
+    bodies, first, size = [], 0, 0
+    for l in range(order + 1):
+        more = (2 * l + 1) ** 2 // 2
+        if size and size + more > BODY_SIZE:
+            bodies.append(range(first, l))
+            first, size = l, 0
+        size += more
+    return [*bodies, range(first, order + 1)]
+
+
+def _flat(bands: range) -> range:
+    """Flat indices of whole bands."""
+    return range(bands[0] ** 2, (bands[-1] + 1) ** 2)
 
 
 def _angles(frame: EdgeFrame, order: int) -> tuple:
@@ -150,9 +175,9 @@ def _multiples(cos, sin, order: int) -> tuple:
     return cosines, sines
 
 
-def _odd(order: int):
+def _odd(bands: range):
     """(l, m, index of +m, index of -m) for all l + m odd, m >= 0."""
-    for l in range(1, order + 1):
+    for l in bands:
         for m in range(1 - l % 2, l + 1, 2):
             yield l, m, l * (l + 1) + m, l * (l + 1) - m
 
@@ -164,22 +189,20 @@ def _add(total, value, factor):
     return value * factor if total is None else dr.fma(value, factor, total)
 
 
-def _product(matrix: tuple, vector: list, wanted=None) -> list:
-    """Sparse matrix times vector; only the `wanted` entries."""
-    out = []
-    for i, row in enumerate(matrix):
-        total = None
+def _product(matrix: tuple, vector: list, bands: range, wanted=None) -> list:
+    """Some bands of a sparse matrix times a vector; only the `wanted` entries."""
+    out = [None] * len(matrix)
+    for i in _flat(bands):
         if wanted is None or wanted[i]:
-            for j, value in row:
-                total = _add(total, vector[j], value)
-        out.append(total)
+            for j, value in matrix[i]:
+                out[i] = _add(out[i], vector[j], value)
     return out
 
 
-def _rotate_z(vector: list, cosines: list, sines: list, order: int, wanted=None) -> list:
+def _rotate_z(vector: list, cosines: list, sines: list, bands: range, wanted=None) -> list:
     """Rotation about z: (p, q) of (m, -m) becomes (p cos - q sin, p sin + q cos) of m times the angle; only the `wanted` entries."""
     out = list(vector)
-    for l in range(1, order + 1):
+    for l in bands:
         for m in range(1, l + 1):
             i, j = l * (l + 1) + m, l * (l + 1) - m
             p, q = vector[i], vector[j]

@@ -4,10 +4,10 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from ..errors import check_choice, check_number, message
+from ..errors import check_choice, check_number
 from ..sh.basis import check_order
 from .arguments import all_finite, polygon_arguments
-from .edge_frame import MAX_EDGE_ORDER, edge_form_shader, project_edge
+from .edge_frame import edge_form_shader, project_edge
 from .quadrature import demand, project_quadrature, quadrature_shader
 from .recurrence import project_recurrence, recurrence_shader
 
@@ -20,14 +20,6 @@ MAX_ERROR = (4e-6, 1e-12)
 COSTS = {0: (4, 18, 1), 2: (4.5, 18, 1.6), 4: (6, 18, 2.5), 8: (11, 20, 7), 14: (40, 22, 15), 20: (85, 25, 30)}
 """Cost of one edge of the ``edge`` form, one strip and one point of cubature, by order, in nanoseconds of one thread: their ratios decide
 where cubature is cheaper (validation/engine.py). Linear in between."""
-
-
-def check_method(function: str, method: str, order: int) -> None:
-    """Raise TypeError/ValueError unless `method` is known and can do `order`."""
-    check_choice(function, "method", method, METHODS)
-    if method == "edge" and order > MAX_EDGE_ORDER:
-        raise ValueError(message(function, "order", f"be at most {MAX_EDGE_ORDER} with method='edge'", order,
-                                 "Use method='recurrence' above."))
 
 
 def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=None) -> list:
@@ -47,10 +39,10 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     order : int
         Highest degree, 0 to 64.
     method : str
-        ``"auto"``: ``edge`` or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in each
-        edge's own frame, up to order 20. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to three times
-        slower than ``edge``, any order. ``"quadrature"``: cubature over the light's area, which suits lights of moderate and small angular
-        size, at any distance and angle.
+        ``"auto"``: ``edge`` or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in
+        each edge's own frame. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to three times slower than
+        ``edge``. ``"quadrature"``: cubature over the light's area, for lights of moderate and small angular size at any distance and
+        angle, also where the closed forms cancel.
     max_error : float, optional
         Relative L2 error of all coefficients together that ``auto`` and ``quadrature`` aim at; 4e-6 in float32 and 1e-12 in float64 if
         not given. Larger values save time on distant lights. Not below the precision's rounding unit.
@@ -63,16 +55,17 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64 (0..20 for ``edge``),
+        If an argument has the wrong type, `vertices` has fewer than three entries, `order` is outside 0..64,
         `method` is unknown or `max_error` out of range.
 
     Notes
     -----
-    Relative L2 error at order 14, reference set of 62 polygons: ``auto`` 3e-6 in float32 and 1e-12 in float64, also for lights 1e6 times
-    farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The boundary forms ``edge`` and
-    ``recurrence`` subtract edge terms: their error is about eps (recurrence: 10 eps) times perimeter over solid angle, as seen from `x`.
-    ``quadrature`` is exact to 1e-6 and 1e-13 up to angular sizes of about 1 rad, useless where the light fills the hemisphere. Where ``auto``
-    changes from one to the other the values differ by less than `max_error`.
+    Relative L2 error at order 14 over a reference set of 62 polygons: ``auto`` 3e-6 in float32 and 1e-12 in float64, also for lights
+    1e6 times farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The boundary forms
+    ``edge`` and ``recurrence`` subtract edge terms: their error is eps (``recurrence``: about 10 eps) times perimeter over solid angle, as
+    seen from `x`. ``quadrature`` keeps to `max_error` up to angular sizes of about 1 radian and is useless where the light fills the
+    hemisphere. Where ``auto`` changes from one to the other the values differ by about `max_error`. What is left: points closer to a
+    border than 1/20 of the light and at the same time nearly in its plane, where neither is good; there the error is that of ``edge``.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
     nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN; a coordinate that is infinite or NaN
@@ -84,7 +77,7 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     """
     name = "project_polygon"
     n = check_order(name, order)
-    check_method(name, method, n)
+    check_choice(name, "method", method, METHODS)
     light, x, apex = polygon_arguments(name, vertices, x)
     if max_error is not None:
         smallest = dr.epsilon(x)
@@ -105,7 +98,7 @@ def project_light(light, x, apex, order: int, method: str = "auto", max_error=No
     max_error = default_error(x) if max_error is None else max_error
     if method == "quadrature":
         return project_quadrature(light, x, order, max_error)
-    boundary = project_recurrence if method == "recurrence" or order > MAX_EDGE_ORDER else project_edge
+    boundary = project_recurrence if _by_recurrence(method, order) else project_edge
     if method != "auto":
         return boundary(light, x, apex, order)
     cubature = prefers_cubature(light, x, order, max_error)
@@ -122,7 +115,7 @@ def light_shader(transfer: list, order: int, method: str = "auto", max_error=Non
     cubature = quadrature_shader(transfer, order, max_error)
     if method == "quadrature":
         return lambda light, x, apex: cubature(light, x)
-    boundary = (recurrence_shader if method == "recurrence" or order > MAX_EDGE_ORDER else edge_form_shader)(transfer, order)
+    boundary = (recurrence_shader if _by_recurrence(method, order) else edge_form_shader)(transfer, order)
     if method != "auto":
         return boundary
 
@@ -133,12 +126,17 @@ def light_shader(transfer: list, order: int, method: str = "auto", max_error=Non
     return shade
 
 
+def _by_recurrence(method: str, order: int) -> bool:
+    """The edge form takes minutes to compile at the highest orders (order 32: 8 s, 64: 150 s; the recurrence: 3 s and 45 s)."""
+    return method == "recurrence" or method == "auto" and order > 32
+
+
 def prefers_cubature(light, x, order: int, max_error: float):
     """Mask: where method ``auto`` takes the cubature in place of the edge form.
 
-    The edge form errs by about eps times perimeter over solid angle (measured 0.2 to 2 of that, orders 2 to 14; validation/engine.py), so it is
-    left where that exceeds `max_error`, and where cubature needs fewer points than the edges are worth. Where no number of points
-    is quite enough, the edge form stays until its own error is 4 times the one asked for; close to the light, always.
+    The edge form errs by about eps times perimeter over solid angle (measured: 0.2 to 2 of that), so it is left where that exceeds
+    `max_error`, and where cubature costs less. Where no number of points is quite enough, the edge form stays until its own error is 4
+    times the one asked for; close to the light, always. Carries no derivatives.
     """
     need = demand(light, x, order, max_error)
     rounding = dr.epsilon(x) * need.perimeter

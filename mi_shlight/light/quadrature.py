@@ -97,7 +97,7 @@ def node_limits(order: int, max_error: float) -> tuple:
 
     k Gauss-Legendre nodes on an interval of half-width h err by ``2^(2k+1) k!^4 / ((2k+1) (2k)!^3) h^(2k)`` times the derivative of order
     2k. Along an arc the integrand is a cosine of the azimuth times ``cos(m phi)``, or, where a strip narrows to a point, a sine:
-    frequencies up to m + 1, and small arcs lose one power of h in the latter case, except for a single node, which is put into the centroid.
+    frequencies up to m + 1, and small arcs lose one power of h in the latter case. A single node is put into the centroid and does not.
     The degrees m count with the power that they have along a great circle.
     """
     equator = sh_matrix(np.array([[1.0, 0.0, 0.0]]), order)[0]
@@ -146,7 +146,11 @@ def demand(light, x, order: int, max_error: float) -> Demand:
 
 
 def integrate(light, x, order: int, max_error: float, add, total, active=True):
-    """Run ``total = add(total, omega, weight)`` over the cubature points of `light`: directions and their solid angles."""
+    """Run ``total = add(total, omega, weight)`` over the cubature points of `light`: unit directions and their solid angles.
+
+    Sums of functions that are polynomials of degree `order` on the sphere have a relative error of `max_error`, where a light is not
+    too near (see :py:class:`Demand`); lanes not `active` keep their total.
+    """
     nodes = _Nodes(type(x[0]), order, max_error)
 
     def over_patch(corners, total, x, view):
@@ -165,21 +169,22 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
             p, q, ratio = _slerp(dr.select(single, centre.s, node[0]), middle)
             a, b = lengths[0] * q, lengths[1] * p
             inverse = 1 / (a + b)
-            s = a * inverse
+            r, s = b * inverse, a * inverse           # 1 - s would cancel where a border passes close to the shading point
             weight = node[1] * ratio * lengths[0] * lengths[1] * dr.square(inverse)       # ds/du
-            start, end = dr.fma(v[1] - v[0], s, v[0]), dr.fma(v[2] - v[3], s, v[3])
+            start, end = dr.fma(v[0], r, v[1] * s), dr.fma(v[3], r, v[2] * s)
             frame = edge_frame(start, end)
             r_start, r_end = safe_length(start), safe_length(end)
             scale = weight / (r_start * r_end)
-            f_start = dr.fma(f[1] - f[0], s, f[0]) * scale / r_start
-            f_end = dr.fma(f[2] - f[3], s, f[3]) * scale / r_end
+            f_start = dr.fma(f[0], r, f[1] * s) * scale / r_start
+            f_end = dr.fma(f[3], r, f[2] * s) * scale / r_end
 
             def over_t(node, total, centre, frame, f_start, f_end):
                 centre, frame = _Centre(*centre), EdgeFrame(*frame)
                 p, q, ratio = _slerp(dr.select(single, centre.t, node[0]), frame)
                 weight = dr.select(single, centre.solid_angle, dr.fma(f_start, p, f_end * q) * ratio * node[1])
                 omega = dr.fma(frame.omega_i, p, frame.omega_j * q)
-                omega = omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)      # Y_lm near the poles feels a length off by eps as l^2 eps / 2
+                # near the poles Y_lm feels a length off by eps as l^2 eps / 2
+                omega = omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)
                 return add(total, omega, weight)
 
             return fold(*nodes.range(choice_t), nodes.read, over_t, total, (tuple(centre), tuple(frame), f_start, f_end))
@@ -290,7 +295,7 @@ def _mismatch(view: _View):
 
 
 def _rough_solid_angle(view: _View):
-    """Signed solid angle of the two triangles that a diagonal cuts off, within a factor of a few: van Oosterom's quotient without arc tangent."""
+    """Signed solid angle of the two triangles that a diagonal cuts off, within a factor of a few: tangents in place of the angles."""
     v, r, sides = view.vectors, view.lengths, view.sides
     diagonal = dr.squared_norm(v[0] * (1 / r[0]) - v[2] * (1 / r[2]))
     total = 0
@@ -308,10 +313,11 @@ def _centre(patch: _Patch, small) -> tuple:
     r = [safe_length(v) for v in patch.vectors]
     # solid angle per unit of the node coordinates at the corners, nearly bilinear
     d00, d10, d11, d01 = (patch.flux[k] / (r[k - 1] * r[k] * r[(k + 1) % 4]) for k in range(4))
-    total = d00 + d10 + d11 + d01
-    single = small & (abs(total) == abs(d00) + abs(d10) + abs(d11) + abs(d01))
-    safe = dr.select(total != 0, total, 1)
-    s, t = 1 / 3 + (d10 + d11) / (3 * safe), 1 / 3 + (d01 + d11) / (3 * safe)
+    total, size = d00 + d10 + d11 + d01, abs(d00) + abs(d10) + abs(d11) + abs(d01)
+    single = small & (abs(total) == size)
+    scale = power_of_two_scale(size)                  # the square of a tiny total, in the derivatives, would vanish
+    safe = 3 * dr.select(total != 0, total * scale, 1)
+    s, t = 1 / 3 + (d10 + d11) * scale / safe, 1 / 3 + (d01 + d11) * scale / safe
     return _Centre(s, t, total * 0.25), single
 
 

@@ -57,7 +57,7 @@ def test_reference(precision, method, case):
         assert error <= 30 * precision.eps * max(edges.sum() / omega, 1) / min(edges.min(), 1)
 
 
-@pytest.mark.parametrize("polygon, order", [(QUAD, order) for order in (0, 1, 2, 3, 8, 13)] + [(CONCAVE, 2), (CONCAVE, 8), (CONCAVE, 20)])
+@pytest.mark.parametrize("polygon, order", [(QUAD, order) for order in (0, 1, 2, 3, 8, 13)] + [(CONCAVE, 2), (CONCAVE, 8), (CONCAVE, 24)])
 def test_quadrature(polygon, method, order):
     p = [dr.llvm.ad.Array3f64(*map(float, v)) for v in polygon]
     ours = np.array([c[0] for c in project_polygon(p, dr.llvm.ad.Array3f64(0.1, 0.2, -0.1), order, method)])
@@ -66,10 +66,10 @@ def test_quadrature(polygon, method, order):
 
 
 @pytest.mark.parametrize("order", [17, 24])
-def test_lobe_loop_equals_unrolled(order, monkeypatch):
+def test_lobe_loop_equals_unrolled(order):
     v, x = [dr.llvm.ad.Array3f64(*map(float, p)) for p in QUAD], dr.llvm.ad.Array3f64(0, 0, 0)
-    looped = np.array([c[0] for c in project_polygon(v, x, order)])
-    scalar = np.array(project_polygon(QUAD.tolist(), [0.0, 0.0, 0.0], order))
+    looped = np.array([c[0] for c in project_polygon(v, x, order, "recurrence")])
+    scalar = np.array(project_polygon(QUAD.tolist(), [0.0, 0.0, 0.0], order, "recurrence"))
     assert relative(looped, scalar) < 1e-12
 
 
@@ -254,7 +254,6 @@ def test_many_vertices_share_one_kernel_size():
     ({"order": -1}, ValueError, r"'order' must be an integer from 0 to 64, got -1"),
     ({"order": 3.5}, ValueError, r"'order' must be .*, got 3.5"),
     ({"method": "magic"}, ValueError, r"'method' must be one of 'auto', 'recurrence', 'edge', 'quadrature', got 'magic'"),
-    ({"method": "edge", "order": 21}, ValueError, r"'order' must be at most 20 with method='edge', got 21"),
     ({"method": 3}, TypeError, r"'method' must be one of"),
     ({"vertices": QUAD[:2].tolist()}, ValueError, r"'vertices' must have at least three entries"),
     ({"vertices": "abc"}, TypeError, r"'vertices' must be a list of 3-vectors"),
