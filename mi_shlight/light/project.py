@@ -80,8 +80,7 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     check_choice(name, "method", method, METHODS)
     light, x, apex = polygon_arguments(name, vertices, x)
     if max_error is not None:
-        smallest = dr.epsilon(x)
-        max_error = check_number(name, "max_error", max_error, smallest, 1, hint="It is a relative error, such as 1e-4.")
+        max_error = check_number(name, "max_error", max_error, dr.epsilon(x), 1, hint="It is a relative error, such as 1e-4.")
     coeffs = project_light(light, x, apex, n, method, max_error)
     finite = all_finite(*light.vertices, x)
     coeffs = [dr.select(finite, c, float("nan")) for c in coeffs]

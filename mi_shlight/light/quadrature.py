@@ -43,11 +43,11 @@ WIDE_S = tuple(map(_squared_chord, (0.9, 1.5, 2.0, 2.0)))
 WIDE_T = tuple(map(_squared_chord, (2.0, 2.6, 2.6, 2.6)))
 SLIM = _squared_chord(0.3)
 MISMATCH = (1.1, 1.8, 2.6, 3.5, 5.0, 6.5, 8.0, 12.0)
-HOPELESS_T, HOPELESS_MISMATCH = _squared_chord(2.8), 20.0
+HOPELESS_T, HOPELESS_MISMATCH, HOPELESS_SOLID_ANGLE = _squared_chord(2.8), 20.0, 2.0
 """The integral over t is not quite a trigonometric polynomial in s if the patch is seen under wide angles, or if distances along its two
 borders rise differently (``|00| |11|`` against ``|10| |01|``). For each of these limits exceeded s takes the next larger rule; those
 in t do not count for a patch slim in s. Beyond the HOPELESS ones, which a point near the border meets, no rule helps. See
-validation/quadrature_rule.py."""
+validation/stability.py."""
 
 
 class Demand(NamedTuple):
@@ -131,9 +131,10 @@ def demand(light, x, order: int, max_error: float) -> Demand:
         choice_s, choice_t = nodes.choose(view)
         count = nodes.count(choice_s) * nodes.count(choice_t)
         enough = enough & (choice_s < len(NODE_COUNTS)) & (choice_t < len(NODE_COUNTS))
-        possible = possible & (view.wide < HOPELESS_T) & (_mismatch(view) < HOPELESS_MISMATCH)
+        part = _rough_solid_angle(view)
+        possible = possible & (view.wide < HOPELESS_T) & (_mismatch(view) < HOPELESS_MISMATCH) & (abs(part) < HOPELESS_SOLID_ANGLE)
         along = along + dr.sqrt(view.sides[0]) + dr.sqrt(view.sides[2])
-        return (points + count, enough, possible, solid_angle + _rough_solid_angle(view), along,
+        return (points + count, enough, possible, solid_angle + part, along,
                 dr.maximum(across, dr.maximum(view.sides[1], view.sides[3])))
 
     zero = type(x[0])(0)

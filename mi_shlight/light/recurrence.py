@@ -158,6 +158,6 @@ def _project_lobe_loop(light, x, apex, order: int, table, active) -> list:
         coeffs = [dr.fma(dr.gather(number, weights, row + i), zonal[math.isqrt(i)], c) for i, c in enumerate(coeffs)]
         return d + 1, coeffs, x, apex, total
 
-    zeros = [number(0) for _ in range((order + 1) ** 2)]
+    zeros = [type(total)(0) for _ in range((order + 1) ** 2)]
     return dr.while_loop((index(0), zeros, x, apex, total), lambda d, *_: d < len(padded), body, mode="symbolic",
                          max_iterations=-1)[1]

@@ -7,7 +7,8 @@ import reference
 from mi_shlight import project_polygon, sh_basis
 from mi_shlight.light import recurrence
 from mi_shlight.light.polygon import VertexList, interior_direction
-from mi_shlight.light.project import light_shader
+from mi_shlight.light.project import light_shader, prefers_cubature
+from mi_shlight.light.quadrature import demand
 
 QUAD = np.array([[-0.5, -0.4, 1.2], [0.6, -0.5, 1.0], [0.7, 0.5, 0.8], [-0.4, 0.6, 1.0]])
 CONCAVE = np.array([[-1, -1, 1.5], [1, -1, 1.5], [1, 1, 1.5], [0, -0.2, 1.5], [-1, 1, 1.5]], dtype=float)
@@ -224,6 +225,60 @@ def test_autodiff_matches_finite_difference(moving, method):
     assert dr.grad(t)[0] == pytest.approx(central, rel=1e-7)
 
 
+def along_a_ray(number, array, distance):
+    direction = np.array([0.36, 0.48, -0.8])
+    # on a grid, so that vertex minus point is exact in float32, too
+    return array(*(number((np.round((0.1 + c * distance) * 256) / 256).tolist()) for c in direction))
+
+
+def test_auto_has_no_seam():
+    """From 0.05 to 5e4 sizes both forms are in use, and a change from one to the other is no larger than rounding."""
+    distance = np.geomspace(0.05, 5e4, 3000)
+    results = []
+    for number, array in ((dr.llvm.ad.Float, dr.llvm.ad.Array3f), (dr.llvm.ad.Float64, dr.llvm.ad.Array3f64)):
+        vertices = [array(*map(float, np.round(v * 64) / 64)) for v in QUAD]
+        x = along_a_ray(number, array, distance)
+        coeffs = project_polygon(vertices, x, 8)
+        cubature = prefers_cubature(VertexList(vertices), x, 8, 4e-6 if number is dr.llvm.ad.Float else 1e-12)
+        dr.eval(coeffs, cubature)
+        results.append(np.array([np.array(c, dtype=float) for c in coeffs]))
+        assert 0 < np.mean(np.array(cubature)) < 1
+    error = np.linalg.norm(results[0] - results[1], axis=0) / np.linalg.norm(results[1], axis=0)
+    assert error.max() < 1e-5
+
+
+@pytest.mark.parametrize("distance", [0.5, 8.0, 30.0, 1e3, 1e5])
+@pytest.mark.parametrize("mode", ["forward", "backward"])
+def test_auto_is_differentiable_on_both_sides(mode, distance):
+    number, array = dr.llvm.ad.Float64, dr.llvm.ad.Array3f64
+    weight = np.cos(np.arange(25))
+
+    def value(t):
+        x = along_a_ray(number, array, np.array([distance])) + array(t, 0.5 * t, -t) * distance
+        return sum(c * w for c, w in zip(project_polygon([array(*map(float, p)) for p in QUAD], x, 4), weight))
+
+    t = number(0.0)
+    dr.enable_grad(t)
+    result = value(t)
+    if mode == "backward":
+        dr.backward(result)
+    else:
+        dr.forward(t)
+    gradient = (dr.grad(t) if mode == "backward" else dr.grad(result))[0]
+    assert gradient == pytest.approx((value(number(1e-5))[0] - value(number(-1e-5))[0]) / 2e-5, rel=1e-5)
+
+
+def test_requested_error_saves_points():
+    vertices, x = [dr.llvm.ad.Array3f64(*map(float, p)) for p in QUAD], dr.llvm.ad.Array3f64(-12, 3, -8)
+    exact = np.array([c[0] for c in project_polygon(vertices, x, 8, "edge")])
+    points = []
+    for max_error in (1e-1, 1e-3, 1e-6, 1e-12):
+        coeffs = np.array([c[0] for c in project_polygon(vertices, x, 8, "quadrature", max_error=max_error)])
+        assert relative(coeffs, exact) < 2 * max_error
+        points.append(demand(VertexList(vertices), x, 8, max_error).points[0])
+    assert points == sorted(set(points))
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_edges_in_coordinate_planes(precision, method, axis):
     """An edge whose plane is upright, level or tilted: the edge's frame has a pole, the result has not."""
@@ -255,6 +310,8 @@ def test_many_vertices_share_one_kernel_size():
     ({"order": 3.5}, ValueError, r"'order' must be .*, got 3.5"),
     ({"method": "magic"}, ValueError, r"'method' must be one of 'auto', 'recurrence', 'edge', 'quadrature', got 'magic'"),
     ({"method": 3}, TypeError, r"'method' must be one of"),
+    ({"max_error": 0}, ValueError, r"'max_error' must be a number from 1.11022e-16 to 1, got 0"),
+    ({"max_error": "small"}, TypeError, r"'max_error' must be a number from"),
     ({"vertices": QUAD[:2].tolist()}, ValueError, r"'vertices' must have at least three entries"),
     ({"vertices": "abc"}, TypeError, r"'vertices' must be a list of 3-vectors"),
     ({"vertices": [(0, 0), (1, 0), (0, 1)]}, TypeError, r"'vertices' must be a 3-vector"),
