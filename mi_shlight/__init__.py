@@ -15,7 +15,8 @@ import importlib.util
 
 __version__ = "0.1.0"
 
-_LAZY = {"project_polygon": ".light.project", "sh_basis": ".sh.basis", "register": ".plugins", "bake_transfer": ".transfer.bake",
+_LAZY = {"project_polygon": ".light.project", "shade_zonal": ".light.zonal", "zonal_lambert": ".light.zonal", "zonal_phong": ".light.zonal",
+         "polygon_irradiance": ".light.irradiance", "sh_basis": ".sh.basis", "register": ".plugins", "bake_transfer": ".transfer.bake",
          "load_transfer": ".transfer.store", "Transfer": ".transfer.store"}
 
 __all__ = ["__version__", *_LAZY]

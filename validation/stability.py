@@ -4,12 +4,12 @@
 
 writes ``stability.json`` and ``stability.png``:
 
-- **sweeps**: error in float32 over distance, grazing gap, width of a sliver, and distance from the light's surface; largest over random
-  lights in random orientation. Relative L2 over all coefficients.
-- **cancellation**: error of each method against perimeter / solid angle as seen from the point, for points spread evenly in the logarithm of
-  height over the plane of the light and of distance from its border, inside and outside. The law behind ``prefers_cubature``: a boundary
-  form errs by eps times this ratio.
-- **nodes**: for the strips of the same lights in float64, the error of the cubature with the numbers of nodes that it chooses, over the error
+- **sweeps**: error in float32 over distance, grazing gap, width of a sliver, and distance from the light's surface; largest over
+  random lights in random orientation. Relative L2 over all coefficients.
+- **cancellation**: error of each method against perimeter / solid angle as seen from the point, for points spread evenly in the
+  logarithm of height over the plane of the light and of distance from its border, inside and outside. The law behind
+  ``prefers_cubature``: a boundary form errs by eps times this ratio.
+- **nodes**: for the same lights in float64, the error of the cubature with the numbers of nodes that it chooses, over the error
   asked for. Behind WIDE_S, WIDE_T, MISMATCH and HOPELESS_* in light/quadrature.py.
 
 The oracle is ``auto`` in float64 of the same float32 vertices: within 1e-9 of 60-digit arithmetic on every class of the reference set
@@ -77,8 +77,9 @@ def surfaces(rng, count, gap):
     return seen(rng, quads(rng, count), np.concatenate([inside, np.full((count, 1), gap)], axis=1))
 
 
-SWEEPS = {"distance in sizes": (distances, 10.0 ** np.arange(0, 6.5, 0.5)), "gap, light seen edge-on": (grazing, 10.0 ** np.arange(-7, 0.1, 0.5)),
-          "width of a sliver": (slivers, 10.0 ** np.arange(-7, 0.1, 0.5)), "height over the light": (surfaces, 10.0 ** np.arange(-6, 0.1, 0.5))}
+SMALL = 10.0 ** np.arange(-7, 0.1, 0.5)
+SWEEPS = {"distance in sizes": (distances, 10.0 ** np.arange(0, 6.5, 0.5)), "gap, light seen edge-on": (grazing, SMALL),
+          "width of a sliver": (slivers, SMALL), "height over the light": (surfaces, SMALL[2:])}
 
 
 def around_the_border(rng, count: int, corners: int) -> np.ndarray:
@@ -167,13 +168,15 @@ def main(arguments=None) -> None:
         rows = []
         for low, high in zip(BINS, BINS[1:]):
             part = error[(ratio >= low) & (ratio < high) & np.isfinite(error)]
-            rows.append({"from": low, "to": high, "lights": len(part), **{f"quantile_{q:g}": float(np.quantile(part, q)) for q in (0.5, 0.99, 1)}})
+            rows.append({"from": low, "to": high, "lights": len(part),
+                         **{f"quantile_{q:g}": float(np.quantile(part, q)) for q in (0.5, 0.99, 1)}})
         report["cancellation"][method] = rows
         centre = [np.sqrt(r["from"] * r["to"]) for r in rows]
         axes.flat[4].loglog(centre, [r["quantile_0.5"] for r in rows], color=COLOURS[method], lw=3 if method == "auto" else 1.5)
         axes.flat[4].loglog(centre, [r["quantile_0.99"] for r in rows], color=COLOURS[method], ls="--")
     axes.flat[4].loglog(BINS, 2.0 ** -24 * BINS, color="grey", ls=":")
-    axes.flat[4].set(xlabel="perimeter / solid angle, near the border", ylabel="error: median, 99 % (dashed), eps x (dotted)", ylim=(1e-8, 10))
+    axes.flat[4].set(xlabel="perimeter / solid angle, near the border", ylabel="error: median, 99 % (dashed), eps x (dotted)",
+                     ylim=(1e-8, 10))
 
     for requested in REQUESTED:
         rows = {str(n): node_errors(p, options.order, requested) for n, p in polygons.items()}
