@@ -15,9 +15,9 @@ import importlib.util
 
 __version__ = "0.1.0"
 
-_LAZY = {"project_polygon": ".light.project", "shade_zonal": ".light.zonal", "zonal_lambert": ".light.zonal", "zonal_phong": ".light.zonal",
-         "polygon_irradiance": ".light.irradiance", "sh_basis": ".sh.basis", "register": ".plugins", "bake_transfer": ".transfer.bake",
-         "load_transfer": ".transfer.store", "Transfer": ".transfer.store"}
+_LAZY = {"project_polygon": ".light.project", "project_mesh": ".light.mesh", "shade_zonal": ".light.zonal", "zonal_lambert": ".light.zonal",
+         "zonal_phong": ".light.zonal", "polygon_irradiance": ".light.irradiance", "sh_basis": ".sh.basis", "register": ".plugins",
+         "bake_transfer": ".transfer.bake", "load_transfer": ".transfer.store", "Transfer": ".transfer.store"}
 
 __all__ = ["__version__", *_LAZY]
 

@@ -73,6 +73,12 @@ def test_mathematics_does_not_import_mitsuba(name):
     assert not uses or name.split(".")[0] in USES_MITSUBA
 
 
+def test_cubature_shares_no_code_with_what_it_judges():
+    """It is the oracle of the boundary forms: of the package it sees the spherical harmonics and the geometry of polygons."""
+    own = set(own_imports("light.quadrature", ROOT / "mi_shlight" / "light" / "quadrature.py"))
+    assert own and all(name.startswith(("sh.", "light.polygon.")) for name in own)
+
+
 def test_the_parser_sees_relative_and_nested_imports(tmp_path):
     source = "from . import a\nfrom ..x.y import b\nimport mitsuba as mi\ndef f():\n    from .z import c\n"
     file = tmp_path / "m.py"

@@ -43,10 +43,11 @@ WIDE_S = tuple(map(_squared_chord, (0.9, 1.5, 2.0, 2.0)))
 WIDE_T = tuple(map(_squared_chord, (2.0, 2.6, 2.6, 2.6)))
 SLIM = _squared_chord(0.3)
 MISMATCH = (1.1, 1.8, 2.6, 3.5, 5.0, 6.5, 8.0, 12.0)
-HOPELESS_T, HOPELESS_MISMATCH, HOPELESS_SOLID_ANGLE = _squared_chord(2.8), 20.0, 2.0
+HOPELESS_T, HOPELESS_MISMATCH, HOPELESS_RULES, HOPELESS_GAP = _squared_chord(2.8), 20.0, 4, 0.1
 """The integral over t is not quite a trigonometric polynomial in s if the patch is seen under wide angles, or if distances along its two
 borders rise differently (``|00| |11|`` against ``|10| |01|``). For each of these limits exceeded s takes the next larger rule; those
-in t do not count for a patch slim in s. Beyond the HOPELESS ones, which a point near the border meets, no rule helps. See
+in t do not count for a patch slim in s. Beyond the HOPELESS ones, which a point near the border meets, no rule helps: the error is 1 for a
+gap below 0.01 (:py:func:`_rough_solid_angle`), 1e-5 to 1e-2 where the largest rule is five or more too small. See
 validation/stability.py."""
 
 
@@ -131,8 +132,9 @@ def demand(light, x, order: int, max_error: float) -> Demand:
         choice_s, choice_t = nodes.choose(view)
         count = nodes.count(choice_s) * nodes.count(choice_t)
         enough = enough & (choice_s < len(NODE_COUNTS)) & (choice_t < len(NODE_COUNTS))
-        part = _rough_solid_angle(view)
-        possible = possible & (view.wide < HOPELESS_T) & (_mismatch(view) < HOPELESS_MISMATCH) & (abs(part) < HOPELESS_SOLID_ANGLE)
+        part, gap = _rough_solid_angle(view)
+        possible = (possible & (view.wide < HOPELESS_T) & (_mismatch(view) < HOPELESS_MISMATCH) & (gap > HOPELESS_GAP)
+                    & (dr.maximum(choice_s, choice_t) < len(NODE_COUNTS) + HOPELESS_RULES))
         along = along + dr.sqrt(view.sides[0]) + dr.sqrt(view.sides[2])
         return (points + count, enough, possible, solid_angle + part, along,
                 dr.maximum(across, dr.maximum(view.sides[1], view.sides[3])))
@@ -295,18 +297,26 @@ def _mismatch(view: _View):
     return dr.maximum(even, odd) / dr.minimum(even, odd)
 
 
-def _rough_solid_angle(view: _View):
-    """Signed solid angle of the two triangles that a diagonal cuts off, within a factor of a few: tangents in place of the angles."""
+def _rough_solid_angle(view: _View) -> tuple:
+    """(solid angle, gap): signed solid angle of the two triangles that a diagonal cuts off, within a factor of a few, as van Oosterom's
+    quotient without arc tangent; and the smallest of its denominators for the four triangles of both diagonals.
+
+    These are ``2 (1 + a . b + b . c + c . a)``: 0 for a shading point on a side, negative in the triangle's plane inside, 8 for a point far
+    away. Corners off one plane have their patch between the triangles of the two diagonals. A corner in the shading point counts as 0.
+    """
     v, r, sides = view.vectors, view.lengths, view.sides
-    diagonal = dr.squared_norm(v[0] * (1 / r[0]) - v[2] * (1 / r[2]))
-    total = 0
-    for k in (1, 3):
+    omega = [v[k] * (1 / r[k]) for k in range(4)]
+    diagonals = dr.squared_norm(omega[0] - omega[2]), dr.squared_norm(omega[1] - omega[3])
+    total, gap = 0, dr.select(functools.reduce(dr.minimum, map(largest_component, v)) > 0, type(r[0])(8), 0)
+    for k in range(4):
         before, after = (k - 1) % 4, (k + 1) % 4
-        numerator = dr.dot(v[k], dr.cross(v[k] - v[before], v[after] - v[k])) / (r[before] * r[k] * r[after])
-        denominator = 4 - 0.5 * (sides[before] + sides[k] + diagonal)       # a . b = 1 - |a - b|^2 / 2
-        small = denominator > abs(numerator)
-        total = total + dr.select(small, 2 * numerator / dr.select(small, denominator, 1), dr.select(numerator > 0, math.pi, -math.pi))
-    return total
+        denominator = 4 - 0.5 * (sides[before] + sides[k] + diagonals[1 - k % 2])       # a . b = 1 - |a - b|^2 / 2
+        gap = dr.minimum(gap, denominator)
+        if k % 2:
+            numerator = dr.dot(v[k], dr.cross(v[k] - v[before], v[after] - v[k])) / (r[before] * r[k] * r[after])
+            small = denominator > abs(numerator)
+            total = total + dr.select(small, 2 * numerator / dr.select(small, denominator, 1), dr.select(numerator > 0, math.pi, -math.pi))
+    return total, gap
 
 
 def _centre(patch: _Patch, small) -> tuple:
