@@ -111,12 +111,14 @@ class MeshLight:
         self._edge_count = len(edges)
         self._edge_end, self._triangle_end, self._strip_end = (dr.opaque(self._index, len(rows))
                                                                for rows in (edges, topology.triangles, topology.strips))
-        (*self._edges, left, right), (*self._triangles, triangle_owner), (*self._strips, strip_owner) = (
+        (start, end, left, right), (*self._triangles, triangle_owner), (*self._strips, strip_owner) = (
             [self._index(column) for column in rows.T] for rows in (edges, topology.triangles, topology.strips))
+        self._edges = [dr.gather(self._vector, positions, vertex) for vertex in (start, end)]
         planes = self._measure(triangle_owner, self._index(np.append(topology.first, 0)))
         self._left, self._right, self._triangle_owners, self._strip_owners = (
             _Owners(owner, radiance, planes if one_sided else None) for owner in (left, right, triangle_owner, strip_owner))
-        dr.eval([owners.tables() for owners in (self._left, self._right, self._triangle_owners, self._strip_owners)])
+        self._steps = [a - b for a, b in zip(self._left.radiance, self._right.radiance)]
+        dr.eval(self._edges, self._steps, [owners.tables() for owners in (self._left, self._right, self._triangle_owners, self._strip_owners)])
 
     def _measure(self, triangle_owner, first) -> list:
         """Measure the light as a whole; gives the planes of the faces as tables ``n_x, n_y, n_z, n . corner``. Without derivatives."""
@@ -131,7 +133,7 @@ class MeshLight:
         self._slabs = [(axis, dr.min(height), dr.max(height)) for axis in axes for height in (dr.dot(axis, vertices),)]
         low, high = (self._vector(*(slab[k] for slab in self._slabs[:3])) for k in (1, 2))
         self._centre, self._radius = low * 0.5 + high * 0.5, dr.norm(high * self._scale - low * self._scale) * 0.5
-        start, end = (dr.gather(self._vector, vertices * self._scale, corner) for corner in self._edges)
+        start, end = (dr.detach(vertex) * self._scale for vertex in self._edges)
         self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start))) if self._edge_count else self._number(0)
         normals = direction(area)
         planes = [*normals, dr.dot(normals, dr.gather(self._vector, vertices, first))]
@@ -175,8 +177,8 @@ class MeshLight:
     def sum(self, term, x, apex, width: int, active=True) -> list:
         """Sum of ``term(v_i, v_j, apex)`` over the edges, weighted as in (1): list of `width` colours; 0 where not `active`."""
         def body(e, total, x, apex):
-            v_i, v_j = (self._vertex(end, e) - x for end in self._edges)
-            weight = self._colour(a - b for a, b in zip(self._left.emitted(e, x), self._right.emitted(e, x)))
+            v_i, v_j = (dr.gather(self._vector, end, e) - x for end in self._edges)
+            weight = self._colour(self._step(e, x))
             return [dr.fma(weight, value, t) for t, value in zip(total, term(v_i, v_j, apex))]
 
         differ = lambda e, x: self._left.differ(self._right, e, x)
@@ -227,6 +229,12 @@ class MeshLight:
         state = following(self._index(0), last, others[0]), last, total, others
         return dr.while_loop(state, lambda i, last, *_: i < last, step, mode="symbolic", max_iterations=-1)[2]
 
+    def _step(self, e, x) -> list:
+        """By how much the radiance to the left of an edge exceeds that to the right, by channel."""
+        if self._one_sided:
+            return [a - b for a, b in zip(self._left.emitted(e, x), self._right.emitted(e, x))]
+        return [dr.gather(self._number, steps, e) for steps in self._steps]
+
     def _vertex(self, corner, i):
         return dr.gather(self._vector, self._positions, dr.gather(self._index, corner, i))
 
@@ -240,11 +248,11 @@ class _Owners:
 
     def __init__(self, owner, radiance: list, planes):
         spread = lambda tables: [dr.gather(type(table), table, owner) for table in tables]
-        self._radiance, self._planes = spread(radiance), planes and spread(planes)
-        self._attached = dr.grad_enabled(self._radiance)
+        self.radiance, self._planes = spread(radiance), planes and spread(planes)
+        self._attached = dr.grad_enabled(self.radiance)
 
     def tables(self) -> list:
-        return [*self._radiance, *(self._planes or [])]
+        return [*self.radiance, *(self._planes or [])]
 
     def face(self, i, x):
         """Mask: `x` lies on the side to which the face emits. To the last bit the same for all parts of a face."""
@@ -254,7 +262,7 @@ class _Owners:
 
     def emitted(self, i, x) -> list:
         """Radiance towards `x`, by channel."""
-        radiance = [dr.gather(type(channel), channel, i) for channel in self._radiance]
+        radiance = [dr.gather(type(channel), channel, i) for channel in self.radiance]
         return [dr.select(self.face(i, x), r, 0) for r in radiance] if self._planes else radiance
 
     def differ(self, other, i, x):

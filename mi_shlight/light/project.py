@@ -17,7 +17,7 @@ METHODS = ("auto", "recurrence", "edge", "quadrature")
 MAX_ERROR = (4e-6, 1e-12)
 """Default of `max_error` in float32 and float64: what the boundary forms reach for lights of moderate size, with some room."""
 
-COSTS = {0: (4, 18, 1), 2: (4.5, 18, 1.6), 4: (6, 18, 2.5), 8: (11, 20, 7), 14: (40, 22, 15), 20: (85, 25, 30)}
+COSTS = {0: (4, 16, 3), 2: (4.9, 16, 3.8), 4: (6.3, 18, 3.8), 8: (12.5, 20, 6.5), 14: (42, 20, 18), 20: (115, 25, 35)}
 """Cost of one edge of the ``edge`` form, one strip and one point of cubature, by order, in nanoseconds of one thread: their ratios decide
 where cubature is cheaper (validation/engine.py). Linear in between."""
 
