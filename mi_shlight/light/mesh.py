@@ -98,7 +98,7 @@ class MeshLight:
     def __init__(self, positions, topology: Topology, radiance, one_sided: bool = False):
         self._number = type(positions)
         self._vector, self._index = array3(self._number), dr.uint32_array_t(self._number)
-        self._positions, self._one_sided = positions, one_sided
+        self._one_sided = one_sided
         edges = topology.edges
         if isinstance(radiance, np.ndarray):
             radiance = np.pad(radiance, ((0, 1), (0, 0)))                   # black: the face that stands for none
@@ -111,30 +111,32 @@ class MeshLight:
         self._edge_count = len(edges)
         self._edge_end, self._triangle_end, self._strip_end = (dr.opaque(self._index, len(rows))
                                                                for rows in (edges, topology.triangles, topology.strips))
-        (start, end, left, right), (*self._triangles, triangle_owner), (*self._strips, strip_owner) = (
+        (*edges, left, right), (*triangles, triangle_owner), (*strips, strip_owner) = (
             [self._index(column) for column in rows.T] for rows in (edges, topology.triangles, topology.strips))
-        self._edges = [dr.gather(self._vector, positions, vertex) for vertex in (start, end)]
-        planes = self._measure(triangle_owner, self._index(np.append(topology.first, 0)))
-        self._left, self._right, self._triangle_owners, self._strip_owners = (
-            _Owners(owner, radiance, planes if one_sided else None) for owner in (left, right, triangle_owner, strip_owner))
+        # Every part has its vertices at hand: derivatives of one buffer gathered from inside and outside of loops come out wrong.
+        vertices = dr.unravel(self._vector, positions)
+        self._edges, self._triangles, self._strips = ([dr.gather(self._vector, vertices, corner) for corner in corners]
+                                                      for corners in (edges, triangles, strips))
+        planes = self._measure(dr.detach(vertices), self._index(np.append(topology.first, 0)), triangle_owner)
+        owners = [_Owners(owner, radiance, planes if one_sided else None) for owner in (left, right, triangle_owner, strip_owner)]
+        self._left, self._right, self._triangle_owners, self._strip_owners = owners
         self._steps = [a - b for a, b in zip(self._left.radiance, self._right.radiance)]
-        dr.eval(self._edges, self._steps, [owners.tables() for owners in (self._left, self._right, self._triangle_owners, self._strip_owners)])
+        dr.eval(self._edges, self._triangles, self._strips, self._steps, [part.tables() for part in owners])
 
-    def _measure(self, triangle_owner, first) -> list:
+    def _measure(self, vertices, first, triangle_owner) -> list:
         """Measure the light as a whole; gives the planes of the faces as tables ``n_x, n_y, n_z, n . corner``. Without derivatives."""
-        vertices = dr.detach(dr.unravel(self._vector, self._positions))
         self._scale = power_of_two_scale(dr.max(largest_component(vertices)))         # keeps squares and areas in range
-        a, b, c = (dr.gather(self._vector, vertices * self._scale, corner) for corner in self._triangles)
+        start, end, a, b, c = (dr.detach(corner) * self._scale for corner in (*self._edges, *self._triangles))
         area = dr.zeros(self._vector, dr.width(first))
         dr.scatter_add(area, dr.cross(b - a, c - a) * 0.5, triangle_owner)
         self._area = dr.sum(area, axis=1)
         self._bent = (dr.sum(dr.norm(area)) - dr.norm(self._area)) * 0.25
+        self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start))) if self._edge_count else self._number(0)
         axes = [self._vector(1, 0, 0), self._vector(0, 1, 0), self._vector(0, 0, 1), direction(self._area)]
-        self._slabs = [(axis, dr.min(height), dr.max(height)) for axis in axes for height in (dr.dot(axis, vertices),)]
+        heights = [dr.dot(axis, vertices) for axis in axes]
+        self._slabs = [(axis, dr.min(height), dr.max(height)) for axis, height in zip(axes, heights)]
         low, high = (self._vector(*(slab[k] for slab in self._slabs[:3])) for k in (1, 2))
         self._centre, self._radius = low * 0.5 + high * 0.5, dr.norm(high * self._scale - low * self._scale) * 0.5
-        start, end = (dr.detach(vertex) * self._scale for vertex in self._edges)
-        self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start))) if self._edge_count else self._number(0)
         normals = direction(area)
         planes = [*normals, dr.dot(normals, dr.gather(self._vector, vertices, first))]
         dr.eval(self._scale, self._area, self._bent, self._slabs, self._centre, self._radius, self._edge_length, planes)
@@ -177,7 +179,7 @@ class MeshLight:
     def sum(self, term, x, apex, width: int, active=True) -> list:
         """Sum of ``term(v_i, v_j, apex)`` over the edges, weighted as in (1): list of `width` colours; 0 where not `active`."""
         def body(e, total, x, apex):
-            v_i, v_j = (dr.gather(self._vector, end, e) - x for end in self._edges)
+            v_i, v_j = (self._read(end, e) - x for end in self._edges)
             weight = self._colour(self._step(e, x))
             return [dr.fma(weight, value, t) for t, value in zip(total, term(v_i, v_j, apex))]
 
@@ -188,7 +190,7 @@ class MeshLight:
     def solid_angle(self, x, active=True):
         """Sum of radiance times signed solid angle over the faces: a colour; 0 where not `active`."""
         def body(t, total, x):
-            corners = (self._vertex(corner, t) - x for corner in self._triangles)
+            corners = (self._read(corner, t) - x for corner in self._triangles)
             return dr.fma(self._colour(self._triangle_owners.emitted(t, x)), triangle_solid_angle(*corners), total)
 
         return self._fold(self._triangle_end, self._triangle_owners.face, body, self._black, (x,), active)
@@ -201,7 +203,7 @@ class MeshLight:
         several = isinstance(total, list)
 
         def over_strip(i, colours, x):
-            values = body(tuple(self._vertex(corner, i) for corner in self._strips), total, x)
+            values = body(tuple(self._read(corner, i) for corner in self._strips), total, x)
             emitted = self._colour(self._strip_owners.emitted(i, x))
             return [dr.fma(emitted, value, colour) for colour, value in zip(colours, values if several else [values])]
 
@@ -235,8 +237,8 @@ class MeshLight:
             return [a - b for a, b in zip(self._left.emitted(e, x), self._right.emitted(e, x))]
         return [dr.gather(self._number, steps, e) for steps in self._steps]
 
-    def _vertex(self, corner, i):
-        return dr.gather(self._vector, self._positions, dr.gather(self._index, corner, i))
+    def _read(self, corner, i):
+        return dr.gather(self._vector, corner, i)
 
     def _colour(self, channels):
         channels = list(channels)

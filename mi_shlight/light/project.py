@@ -61,15 +61,18 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     Notes
     -----
     Relative L2 error at order 14 over a reference set of 62 polygons: ``auto`` 3e-6 in float32 and 1e-12 in float64, also for lights
-    1e6 times farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The boundary forms
-    ``edge`` and ``recurrence`` subtract edge terms: their error is eps (``recurrence``: about 10 eps) times perimeter over solid angle, as
-    seen from `x`. ``quadrature`` keeps to `max_error` up to angular sizes of about 1 radian and is useless where the light fills the
-    hemisphere. Where ``auto`` changes from one to the other the values differ by about `max_error`. What is left: points closer to a
-    border than 1/20 of the light and at the same time nearly in its plane, where neither is good; there the error is that of ``edge``.
+    1e6 times farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The closed forms ``edge``
+    and ``recurrence`` subtract edge terms. Their absolute error (a million random polygons, degenerate ones included) is at most
+    4 eps K, for ``recurrence`` 5 eps more, with ``K = sum 2 tan(T / 2)`` over the angles T under which the edges are seen, mostly about
+    the perimeter; relative to the solid angle it grows as eps / theta for a light of angular size theta. ``quadrature`` keeps to
+    `max_error` up to angular sizes of about 1 radian and is useless close to the light. Where ``auto`` changes from one to the other the
+    values differ by about `max_error`. What is left: points nearly in the light's plane and close to its border, where neither is
+    good; ``auto`` has the error of ``edge`` there.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
-    nothing; a polygon whose plane contains `x` has solid angle 0. Finite input never gives NaN; a coordinate that is infinite or NaN
-    makes all coefficients of its lane NaN.
+    nothing. A polygon whose plane contains `x` has solid angle 0 if `x` is outside; inside, coefficients of degree 1 and more have one
+    limit from both sides, and ``L_00`` is that of either side; on the outline ``L_00`` lies in between. ``quadrature`` gives 0 there.
+    Finite input never gives NaN; a coordinate that is infinite or NaN makes all coefficients of its lane NaN.
 
     Differentiable by Dr.Jit's autodiff; with ``edge`` not where the plane through `x` and an edge is the x-y plane.
 

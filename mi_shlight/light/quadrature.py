@@ -169,7 +169,7 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
 
         def over_s(node, total, patch, centre, middle, lengths):
             (v, f), centre, middle = patch, _Centre(*centre), EdgeFrame(*middle)
-            p, q, ratio = _slerp(dr.select(single, centre.s, node[0]), middle)
+            p, q, ratio = _slerp(node[0], middle)
             a, b = lengths[0] * q, lengths[1] * p
             inverse = 1 / (a + b)
             r, s = b * inverse, a * inverse           # 1 - s would cancel where a border passes close to the shading point
@@ -183,9 +183,9 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
 
             def over_t(node, total, centre, frame, f_start, f_end):
                 centre, frame = _Centre(*centre), EdgeFrame(*frame)
-                p, q, ratio = _slerp(dr.select(single, centre.t, node[0]), frame)
+                p, q, ratio = _slerp(node[0], frame)
                 weight = dr.select(single, centre.solid_angle, dr.fma(f_start, p, f_end * q) * ratio * node[1])
-                omega = dr.fma(frame.omega_i, p, frame.omega_j * q)
+                omega = dr.select(single, centre.omega, dr.fma(frame.omega_i, p, frame.omega_j * q))
                 # near the poles Y_lm feels a length off by eps as l^2 eps / 2
                 omega = omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)
                 return add(total, omega, weight)
@@ -261,10 +261,10 @@ class _Nodes:
 
 
 class _Centre(NamedTuple):
-    """Where a small patch is put as a single point, in node coordinates, and its solid angle."""
+    """A small patch as a single point."""
 
-    s: object
-    t: object
+    omega: object
+    """Direction of the centroid of its solid angle."""
     solid_angle: object
 
 
@@ -320,16 +320,18 @@ def _rough_solid_angle(view: _View) -> tuple:
 
 
 def _centre(patch: _Patch, small) -> tuple:
-    """Centroid of the solid angle of a small patch as node coordinates, and whether to use it: `small`, and no change of sign inside."""
+    """A patch as a single point, and whether to take it so: `small`, and no change of sign inside."""
     r = [safe_length(v) for v in patch.vectors]
-    # solid angle per unit of the node coordinates at the corners, nearly bilinear
-    d00, d10, d11, d01 = (patch.flux[k] / (r[k - 1] * r[k] * r[(k + 1) % 4]) for k in range(4))
-    total, size = d00 + d10 + d11 + d01, abs(d00) + abs(d10) + abs(d11) + abs(d01)
-    single = small & (abs(total) == size)
+    # solid angle per unit of the node coordinates at the corners: nearly bilinear, as is the direction
+    density = [patch.flux[k] / (r[k - 1] * r[k] * r[(k + 1) % 4]) for k in range(4)]
+    total, size = sum(density), sum(map(abs, density))
     scale = power_of_two_scale(size)                  # the square of a tiny total, in the derivatives, would vanish
-    safe = 3 * dr.select(total != 0, total * scale, 1)
-    s, t = 1 / 3 + (d10 + d11) * scale / safe, 1 / 3 + (d01 + d11) * scale / safe
-    return _Centre(s, t, total * 0.25), single
+    safe = 9 * dr.select(total != 0, total * scale, 1)
+    mean = 0
+    for k in range(4):                                # integral of a product of bilinear functions
+        share = 4 * density[k] + 2 * (density[k - 1] + density[(k + 1) % 4]) + density[k - 2]
+        mean = mean + patch.vectors[k] * (share * scale / (safe * r[k]))
+    return _Centre(mean * (1 / safe_length(mean)), total * 0.25), small & (abs(total) == size)
 
 
 def _slerp(u, frame):
