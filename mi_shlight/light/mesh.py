@@ -113,7 +113,8 @@ class MeshLight:
                                                                for rows in (edges, topology.triangles, topology.strips))
         (*edges, left, right), (*triangles, triangle_owner), (*strips, strip_owner) = (
             [self._index(column) for column in rows.T] for rows in (edges, topology.triangles, topology.strips))
-        # Every part has its vertices at hand: derivatives of one buffer gathered from inside and outside of loops come out wrong.
+        # The parts have copies of their vertices. That is faster to read, and Dr.Jit 1.5.0 gets reverse-mode derivatives wrong of a flat
+        # buffer that is gathered as vectors both inside and outside of symbolic loops.
         vertices = dr.unravel(self._vector, positions)
         self._edges, self._triangles, self._strips = ([dr.gather(self._vector, vertices, corner) for corner in corners]
                                                       for corners in (edges, triangles, strips))
@@ -126,12 +127,15 @@ class MeshLight:
     def _measure(self, vertices, first, triangle_owner) -> list:
         """Measure the light as a whole; gives the planes of the faces as tables ``n_x, n_y, n_z, n . corner``. Without derivatives."""
         self._scale = power_of_two_scale(dr.max(largest_component(vertices)))         # keeps squares and areas in range
-        start, end, a, b, c = (dr.detach(corner) * self._scale for corner in (*self._edges, *self._triangles))
+        a, b, c = (dr.detach(corner) * self._scale for corner in self._triangles)
         area = dr.zeros(self._vector, dr.width(first))
         dr.scatter_add(area, dr.cross(b - a, c - a) * 0.5, triangle_owner)
         self._area = dr.sum(area, axis=1)
         self._bent = (dr.sum(dr.norm(area)) - dr.norm(self._area)) * 0.25
-        self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start))) if self._edge_count else self._number(0)
+        self._edge_length = self._number(0)
+        if self._edge_count:
+            start, end = (dr.detach(vertex) * self._scale for vertex in self._edges)
+            self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start)))
         axes = [self._vector(1, 0, 0), self._vector(0, 1, 0), self._vector(0, 0, 1), direction(self._area)]
         heights = [dr.dot(axis, vertices) for axis in axes]
         self._slabs = [(axis, dr.min(height), dr.max(height)) for axis, height in zip(axes, heights)]
