@@ -319,7 +319,7 @@ def _define(text):
 # Parameters of `shprt` that an option can set, with the option's argument parser entries.
 SHPRT_OPTIONS = {
     "order": dict(type=_number, metavar="N", help="highest spherical-harmonic degree"),
-    "method": dict(metavar="M", help="how lights are projected: auto, recurrence, edge"),
+    "method": dict(metavar="M", help="how lights are projected: auto, recurrence, edge, quadrature"),
     "transfer": dict(metavar="K", help="shadowed or unshadowed"),
     "transfer_domain": dict(metavar="D", help="vertex (baked) or pixel (rays at each hit)"),
     "transfer_samples": dict(type=_number, metavar="N", help="rays per vertex or per pixel hit; 0: the default"),

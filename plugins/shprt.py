@@ -8,8 +8,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - order
    - |int|
-   - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. Above 14 shading is several
-     times slower, and kernels take long to compile: about half a minute at 32. (Default: 8)
+   - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. Shading time grows with the cube
+     of the order, and kernels take long to compile: one to three seconds at 20, about ten at 32. (Default: 8)
 
  * - method
    - |string|
@@ -18,7 +18,7 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - transfer
    - |string|
-   - ``unshadowed``: lights shine through everything; analytic, no bake, cheap at any order (``auto`` is ``edge`` then).
+   - ``unshadowed``: lights shine through everything; analytic, no bake, cheap at any order.
      ``shadowed``: soft shadows. (Default: ``shadowed``)
 
  * - transfer_domain
@@ -67,7 +67,8 @@ their own visibility, in which the other lights are obstacles; more than four sh
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
 normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
 
-Differentiable through ``mi.render`` with respect to radiance and reflectance; transfer is held fixed.
+Differentiable through ``mi.render`` with respect to radiance, reflectance, and the vertices and transforms of lights; transfer and the
+normals of receivers are held fixed.
 
 .. tabs::
     .. code-tab:: xml
@@ -96,7 +97,7 @@ import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
 from ..light.project import METHODS, light_shader, project_light
-from ..light.zonal import times_pole_value, zonal_lambert, zonal_shader
+from ..light.zonal import times_pole_value, zonal_lambert, zonal_light_shader, zonal_shader
 from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
 from ..transfer.bake import trace_transfer
@@ -269,8 +270,9 @@ def build():
             """Function from a light group's number to the shader that meets the group's lights with the transfer at each hit."""
             shader = lambda coeffs: light_shader([dr.detach(t) for t in coeffs], self.order, self.method)
             if self.transfer == "unshadowed":
-                if self.method in ("auto", "edge"):   # the edge form again, but symmetric about n: n + 1 coefficients instead of (n + 1)^2
-                    shade = zonal_shader(n, times_pole_value(zonal_lambert(self.order)))
+                if self.method in ("auto", "edge"):   # symmetric about n: order + 1 coefficients instead of (order + 1)^2
+                    by_zones = zonal_light_shader if self.method == "auto" else zonal_shader
+                    shade = by_zones(n, times_pole_value(zonal_lambert(self.order)))
                 else:
                     shade = shader(cosine_transfer(n, self.order))
                 return lambda g, first, last: shade

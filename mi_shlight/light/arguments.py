@@ -26,7 +26,7 @@ def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
 def not_literal(v):
     """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
     literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
-    return type(v)(*(dr.opaque(type(c), c[0]) if literal(c) else c for c in v))
+    return type(v)(*(dr.opaque(type(c), c[0], dr.width(c)) if literal(c) else c for c in v))
 
 
 def all_finite(*vectors):

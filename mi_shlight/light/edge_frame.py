@@ -76,6 +76,7 @@ def project_edge(light, x, apex, order: int, active=True) -> list:
     """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
     table, coeffs = constants(order), []
     for bands in _bodies(order):
+        @_steady
         def term(v_i, v_j, apex, bands=bands):
             frame = edge_frame(v_i, v_j)
             (alpha, beta, phi), length = _angles(frame, bands[-1])
@@ -104,6 +105,7 @@ def edge_form_shader(transfer: list, order: int):
     met = [any(odd[j] for j, _ in row) for row in table.x90]
 
     def term_of(bands):
+        @_steady
         def term(v_i, v_j, apex):
             frame = edge_frame(v_i, v_j)
             (alpha, beta, phi), length = _angles(frame, bands[-1])
@@ -128,6 +130,26 @@ def edge_form_shader(transfer: list, order: int):
 
     terms = [term_of(bands) for bands in _bodies(order)]
     return lambda light, x, apex, active=True: functools.reduce(operator.add, (light.sum(t, x, apex, 1, active)[0] for t in terms))
+
+
+def _steady(term):
+    """`term` with derivatives also where the edge's normal is near the z axis and its azimuth turns arbitrarily fast.
+
+    There they are taken in a frame that is tilted by a small angle, which changes them by about that angle.
+    """
+    def steady(v_i, v_j, apex):
+        if not dr.grad_enabled(v_i, v_j):
+            return term(v_i, v_j, apex)
+        tilt = math.sqrt(dr.epsilon(v_i)) * 4
+        start, end, apex = dr.detach(v_i), dr.detach(v_j), dr.detach(apex)
+        normal = edge_frame(start, end).normal
+        near = dr.square(normal[0]) + dr.square(normal[1]) < dr.square(tilt / 2)
+        cos, sin = dr.select(near, math.cos(tilt), type(v_i[0])(1)), dr.select(near, math.sin(tilt), type(v_i[0])(0))
+        tilted = lambda v: type(v)(dr.fma(v[0], cos, v[2] * sin), v[1], dr.fma(v[2], cos, -(v[0] * sin)))
+        slopes = term(tilted(v_i), tilted(v_j), tilted(apex))
+        return [dr.replace_grad(value, slope) for value, slope in zip(term(start, end, apex), slopes)]
+
+    return steady
 
 
 def _bodies(order: int) -> list:

@@ -25,11 +25,10 @@ from ..arrays import array3, vectors3
 from ..errors import check_choice, check_number, message
 from ..sh.basis import check_order
 from .arguments import all_finite, not_literal
-from .edge_frame import MONOPOLE, edge_form_shader, project_edge
+from .edge_frame import MONOPOLE
 from .polygon import direction, edge_frame, fan_solid_angle, fold, largest_component, power_of_two_scale
-from .project import METHODS, default_error, project_polygon
+from .project import METHODS, boundary_form, default_error, project_polygon
 from .quadrature import node_limits, project_quadrature, quadrature_shader
-from .recurrence import project_recurrence, recurrence_shader
 
 
 class Topology(NamedTuple):
@@ -384,7 +383,7 @@ def project_mesh_light(light: MeshLight, x, order: int, method: str = "auto", ma
 
     def boundary(active):
         apex, outside = light.apex(x)
-        coeffs = (project_recurrence if method == "recurrence" else project_edge)(light, x, apex, order, active)
+        coeffs = boundary_form(method, order)[0](light, x, apex, order, active)
         return [dr.fma(light.solid_angle(x, ~outside & active), MONOPOLE, coeffs[0]), *coeffs[1:]]
 
     cubature = lambda active: project_quadrature(light, x, order, max_error, active)
@@ -397,7 +396,7 @@ def mesh_shader(transfer: list, order: int, method: str = "auto", max_error=None
     The counterpart of :py:func:`mi_shlight.light.project.light_shader`; each edge costs one dot product, whatever the number of channels.
     """
     max_error = default_error(transfer[0]) if max_error is None else max_error
-    over_edges = (recurrence_shader if method == "recurrence" else edge_form_shader)(transfer, order)
+    over_edges = boundary_form(method, order)[1](transfer, order)
     over_area = quadrature_shader(transfer, order, max_error)
 
     def shade(light, x):

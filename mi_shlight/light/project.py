@@ -19,7 +19,7 @@ MAX_ERROR = (4e-6, 1e-12)
 
 COSTS = {0: (4, 16, 3), 2: (4.9, 16, 3.8), 4: (6.3, 18, 3.8), 8: (12.5, 20, 6.5), 14: (42, 20, 18), 20: (115, 25, 35)}
 """Cost of one edge of the ``edge`` form, one strip and one point of cubature, by order, in nanoseconds of one thread: their ratios decide
-where cubature is cheaper (validation/engine.py). Linear in between."""
+where cubature is cheaper. Least squares over timings such as those of validation/engine.py; linear in between, constant above."""
 
 
 def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=None) -> list:
@@ -39,7 +39,7 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     order : int
         Highest degree, 0 to 64.
     method : str
-        ``"auto"``: ``edge`` or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in
+        ``"auto"``: ``edge`` (above order 32 ``recurrence``) or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in
         each edge's own frame. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to three times slower than
         ``edge``. ``"quadrature"``: cubature over the light's area, for lights of moderate and small angular size at any distance and
         angle, also where the closed forms cancel.
@@ -65,16 +65,19 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     and ``recurrence`` subtract edge terms. Their absolute error (a million random polygons, degenerate ones included) is at most
     4 eps K, for ``recurrence`` 5 eps more, with ``K = sum 2 tan(T / 2)`` over the angles T under which the edges are seen, mostly about
     the perimeter; relative to the solid angle it grows as eps / theta for a light of angular size theta. ``quadrature`` keeps to
-    `max_error` up to angular sizes of about 1 radian and is useless close to the light. Where ``auto`` changes from one to the other the
-    values differ by about `max_error`. What is left: points nearly in the light's plane and close to its border, where neither is
-    good; ``auto`` has the error of ``edge`` there.
+    `max_error`, within a factor of 3, up to angular sizes of about 1 radian and is useless close to the light. Where ``auto`` changes
+    from one to the other the values differ by about `max_error`. What is left: points nearly in the light's plane and close to its
+    border, and slivers that span most of a half circle; ``auto`` has the error of ``edge`` there, up to all digits of a small result.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
     nothing. A polygon whose plane contains `x` has solid angle 0 if `x` is outside; inside, coefficients of degree 1 and more have one
     limit from both sides, and ``L_00`` is that of either side; on the outline ``L_00`` lies in between. ``quadrature`` gives 0 there.
     Finite input never gives NaN; a coordinate that is infinite or NaN makes all coefficients of its lane NaN.
 
-    Differentiable by Dr.Jit's autodiff; with ``edge`` not where the plane through `x` and an edge is the x-y plane.
+    Differentiable by Dr.Jit's autodiff. Where the plane through `x` and an edge is nearly an x-y plane, derivatives of ``edge`` are good
+    to 1e-3 in float32 and 1e-7 in float64.
+
+    Each number of vertices, and each `max_error`, compiles a kernel of its own.
 
     Evaluate wide results together, ``dr.eval(coeffs)``: reading one coefficient after the other would compute each anew.
     """
@@ -100,7 +103,7 @@ def project_light(light, x, apex, order: int, method: str = "auto", max_error=No
     max_error = default_error(x) if max_error is None else max_error
     if method == "quadrature":
         return project_quadrature(light, x, order, max_error)
-    boundary = project_recurrence if _by_recurrence(method, order) else project_edge
+    boundary = boundary_form(method, order)[0]
     if method != "auto":
         return boundary(light, x, apex, order)
     cubature = prefers_cubature(light, x, order, max_error)
@@ -117,7 +120,7 @@ def light_shader(transfer: list, order: int, method: str = "auto", max_error=Non
     cubature = quadrature_shader(transfer, order, max_error)
     if method == "quadrature":
         return lambda light, x, apex: cubature(light, x)
-    boundary = (recurrence_shader if _by_recurrence(method, order) else edge_form_shader)(transfer, order)
+    boundary = boundary_form(method, order)[1](transfer, order)
     if method != "auto":
         return boundary
 
@@ -128,9 +131,12 @@ def light_shader(transfer: list, order: int, method: str = "auto", max_error=Non
     return shade
 
 
-def _by_recurrence(method: str, order: int) -> bool:
-    """The edge form takes minutes to compile at the highest orders (order 32: 8 s, 64: 150 s; the recurrence: 3 s and 45 s)."""
-    return method == "recurrence" or method == "auto" and order > 32
+def boundary_form(method: str, order: int) -> tuple:
+    """(projection, shader) of the closed form that `method` stands for, or falls back to."""
+    # at the highest orders the edge form takes minutes to compile: order 32 8 s, 64 150 s; the recurrence 3 s and 45 s
+    if method == "recurrence" or method == "auto" and order > 32:
+        return project_recurrence, recurrence_shader
+    return project_edge, edge_form_shader
 
 
 def prefers_cubature(light, x, order: int, max_error: float):
@@ -152,4 +158,4 @@ def prefers_cubature(light, x, order: int, max_error: float):
 
 def default_error(value) -> float:
     """The entry of MAX_ERROR for the precision of `value`; Python floats are double."""
-    return MAX_ERROR[0 if dr.epsilon(value) > 1e-10 else 1]
+    return MAX_ERROR[0 if dr.is_array_v(value) and dr.epsilon(value) > 1e-10 else 1]

@@ -27,7 +27,9 @@ from ..errors import check_number, message
 from ..sh.basis import check_order
 from ..sh.lobes import MAX_ORDER
 from .arguments import all_finite, polygon_arguments
-from .polygon import direction, edge_frame, fan_solid_angle
+from .polygon import direction, edge_frame, fan_solid_angle, legendre_p
+from .project import default_error, prefers_cubature
+from .quadrature import integrate
 
 
 def shade_zonal(vertices, x, axis, zonal):
@@ -160,6 +162,27 @@ def zonal_shader(axis, weights: list):
         return [dr.fma(total, c, weights[0] * fan_solid_angle(apex, frame))]
 
     return lambda light, x, apex, active=True: light.sum(term, x, apex, 1, active)[0]
+
+
+def zonal_light_shader(axis, weights: list):
+    """:py:func:`zonal_shader` with cubature where the closed form would lose digits, by the rule of method ``auto``.
+
+    Carries no derivatives by `axis` and `weights`.
+    """
+    axis, weights, order = dr.detach(axis), [dr.detach(w) for w in weights], len(weights) - 1
+    over_edges, max_error = zonal_shader(axis, weights), default_error(axis)
+
+    def add(total, omega, solid_angle):
+        value = 0
+        for w, p in zip(weights, legendre_p(dr.dot(axis, omega), order)):
+            value = dr.fma(w, p, value)
+        return dr.fma(solid_angle, value, total)
+
+    def shade(light, x, apex):
+        cubature = prefers_cubature(light, x, order, max_error)
+        return over_edges(light, x, apex, cubature ^ True) + integrate(light, x, order, max_error, add, type(x[0])(0), cubature)
+
+    return shade
 
 
 @functools.lru_cache(maxsize=None)
