@@ -39,10 +39,10 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     order : int
         Highest degree, 0 to 64.
     method : str
-        ``"auto"``: ``edge`` (above order 32 ``recurrence``) or ``quadrature``, for each point whichever is accurate enough and cheaper. ``"edge"``: closed form in
-        each edge's own frame. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to three times slower than
-        ``edge``. ``"quadrature"``: cubature over the light's area, for lights of moderate and small angular size at any distance and
-        angle, also where the closed forms cancel.
+        ``"auto"``: ``edge`` (above order 32 ``recurrence``) or ``quadrature``, for each point whichever is accurate enough and cheaper.
+        ``"edge"``: closed form in each edge's own frame. ``"recurrence"``: zonal recurrence of [W18], Algorithm 1, closed too; two to
+        three times slower than ``edge``. ``"quadrature"``: cubature over the light's area, for lights of moderate and small angular size at
+        any distance and angle, also where the closed forms cancel.
     max_error : float, optional
         Relative L2 error of all coefficients together that ``auto`` and ``quadrature`` aim at; 4e-6 in float32 and 1e-12 in float64 if
         not given. Larger values save time on distant lights. Not below the precision's rounding unit.
