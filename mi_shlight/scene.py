@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .errors import UnsupportedSceneWarning
-from .light.polygon import EdgeBuffer, apex_direction, direction
+from .light.polygon import EdgeBuffer, apex_direction, direction, strip_corners, strip_count
 
 PLANARITY = 1e-3
 """Largest distance of a light's vertex from the light's plane, relative to the light's extent."""
@@ -217,13 +217,14 @@ def content_hash(shape, two_sided: bool) -> str:
     return digest.hexdigest()
 
 
-def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
-    """Directed edges of a mesh that no other face shares: arrays of start and end vertex indices.
+def weld(positions: np.ndarray) -> np.ndarray:
+    """One number for all vertices at equal positions, as meshes often repeat them per face."""
+    return np.unique(positions, axis=0, return_inverse=True)[1].reshape(-1)
 
-    Vertices at equal positions count as one, as meshes often repeat them per face.
-    """
-    _, welded = np.unique(positions, axis=0, return_inverse=True)
-    welded = welded.reshape(-1)
+
+def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
+    """Directed edges of a mesh that no other face shares: arrays of start and end vertex indices. Welded vertices count as one."""
+    welded = weld(positions)
     start = faces.ravel()
     end = np.roll(faces, -1, axis=1).ravel()
     a, b = welded[start], welded[end]
@@ -234,8 +235,7 @@ def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
 
 def strips(start: np.ndarray, end: np.ndarray, faces: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Corners (P, 4) of the strips that fill a polygon: cut across from its outline if that is one loop, otherwise its triangles."""
-    _, welded = np.unique(positions, axis=0, return_inverse=True)
-    welded = welded.reshape(-1)
+    welded = weld(positions)
     following = dict(zip(welded[start].tolist(), range(len(start))))
     loop, edge = [], 0
     while len(loop) < len(start):
@@ -245,7 +245,7 @@ def strips(start: np.ndarray, end: np.ndarray, faces: np.ndarray, positions: np.
             break
     n = len(loop)
     if n == len(start) == len(following) and edge == 0:
-        return np.array([(loop[i], loop[i + 1], loop[n - 2 - i], loop[n - 1 - i]) for i in range((n - 1) // 2)])
+        return np.array([[loop[k] for k in strip_corners(i, n)] for i in range(strip_count(n))])
     return faces[:, [0, 1, 1, 2]]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 import drjit as dr
 
 from ..arrays import vectors3
-from ..errors import message
+from ..errors import check_number, message
 from .polygon import VertexList, interior_direction
 
 
@@ -27,6 +27,13 @@ def not_literal(v):
     """Keep constants out of the kernel's source: otherwise each polygon would compile its own kernel."""
     literal = lambda c: dr.is_jit_v(c) and not dr.grad_enabled(c) and c.state == dr.VarState.Literal
     return type(v)(*(dr.opaque(type(c), c[0], dr.width(c)) if literal(c) else c for c in v))
+
+
+def error_argument(function: str, max_error, x):
+    """`max_error` as the user gives it: None, or a float from the rounding unit of `x` to 1; otherwise TypeError or ValueError."""
+    if max_error is None:
+        return None
+    return check_number(function, "max_error", max_error, dr.epsilon(x), 1, hint="It is a relative error, such as 1e-4.")
 
 
 def all_finite(*vectors):

@@ -22,11 +22,11 @@ import drjit as dr
 import numpy as np
 
 from ..arrays import array3, vectors3
-from ..errors import check_choice, check_number, message
+from ..errors import check_choice, message
 from ..sh.basis import check_order
-from .arguments import all_finite, not_literal
+from .arguments import all_finite, error_argument, not_literal
 from .edge_frame import MONOPOLE
-from .polygon import direction, edge_frame, fan_solid_angle, fold, largest_component, power_of_two_scale
+from .polygon import direction, edge_frame, fan_solid_angle, fold, largest_component, power_of_two_scale, strip_corners, strip_count
 from .project import METHODS, boundary_form, default_error, project_polygon
 from .quadrature import node_limits, project_quadrature, quadrature_shader
 
@@ -61,7 +61,7 @@ def mesh_topology(faces: list) -> Topology:
 
         directed += [rows(k, (k + 1) % n) for k in range(n)]
         triangles += [rows(0, k, k + 1) for k in range(1, n - 1)]
-        strips += [rows(k, k + 1, n - 2 - k, n - 1 - k) for k in range((n - 1) // 2)]
+        strips += [rows(*strip_corners(k, n)) for k in range(strip_count(n))]
     directed, triangles, strips = (np.concatenate(part) for part in (directed, triangles, strips))
     triangles, strips = (part[np.argsort(part[:, -1], kind="stable")] for part in (triangles, strips))
     start, end, owner = directed[directed[:, 0] != directed[:, 1]].T
@@ -352,8 +352,7 @@ def project_mesh(vertices, faces, radiance, x, order: int, method: str = "auto",
     positions, faces, radiance, x = _mesh_arguments(name, vertices, faces, radiance, x)
     if not isinstance(one_sided, bool):
         raise TypeError(message(name, "one_sided", "be True or False", one_sided))
-    if max_error is not None:
-        max_error = check_number(name, "max_error", max_error, dr.epsilon(x), 1, hint="It is a relative error, such as 1e-4.")
+    max_error = error_argument(name, max_error, x)
     if dr.flag(dr.JitFlag.SymbolicScope):
         raise RuntimeError(f"{name}(): must be called outside of symbolic loops and calls, as it evaluates the mesh. "
                            "Build a MeshLight before the loop and call project_mesh_light() inside.")

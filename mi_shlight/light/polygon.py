@@ -151,6 +151,19 @@ def legendre_p(z, order: int) -> list:
     return p[:order + 1]
 
 
+def strip_count(corners: int) -> int:
+    """Number of strips that fill a polygon."""
+    return (corners - 1) // 2
+
+
+def strip_corners(i, corners: int) -> tuple:
+    """Strip i of a polygon: four corners in the polygon's orientation, two of them equal in the last strip of an odd number of corners.
+
+    Cut across, strips keep one direction of a many-sided light short. Of a non-convex polygon they may overlap with opposite signs.
+    """
+    return i, i + 1, corners - 2 - i, corners - 1 - i
+
+
 class VertexList:
     """A closed polygon given as a list of vertices: edge i runs from vertex i to i + 1."""
 
@@ -175,20 +188,14 @@ class VertexList:
 
     def only_strip(self):
         """Corners of the strip if there is only one, otherwise None."""
-        v = self.vertices
-        return (v[0], v[1], v[-2], v[-1]) if len(v) <= 4 else None
+        return tuple(self.vertices[k] for k in strip_corners(0, len(self.vertices))) if self.strip_count() == 1 else None
 
     def strip_count(self):
-        return (len(self.vertices) - 1) // 2
+        return strip_count(len(self.vertices))
 
     def fold_patches(self, body, total, x, active=True):
-        """Run ``total = body(corners, total, x)`` over strips that together have the polygon's boundary; lanes not `active` stay.
-
-        Strip i has the corners i, i + 1, N - 2 - i, N - 1 - i in the polygon's orientation; the last one of an odd N has two equal corners.
-        Strips keep one direction of a many-sided light short. Of a non-convex polygon they may overlap with opposite signs.
-        """
-        n = len(self.vertices)
-        return self._fold(self.strip_count(), lambda i: (i, i + 1, n - 2 - i, n - 1 - i), body, total, (x,), active)
+        """Run ``total = body(corners, total, x)`` over strips that together have the polygon's boundary; lanes not `active` stay."""
+        return self._fold(self.strip_count(), lambda i: strip_corners(i, len(self.vertices)), body, total, (x,), active)
 
     def _fold(self, count: int, corners, body, total, others: tuple, active):
         v, x = self.vertices, others[0]

@@ -4,9 +4,9 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from ..errors import check_choice, check_number
+from ..errors import check_choice
 from ..sh.basis import check_order
-from .arguments import all_finite, polygon_arguments
+from .arguments import all_finite, error_argument, polygon_arguments
 from .edge_frame import edge_form_shader, project_edge
 from .quadrature import demand, project_quadrature, quadrature_shader
 from .recurrence import project_recurrence, recurrence_shader
@@ -86,9 +86,7 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     n = check_order(name, order)
     check_choice(name, "method", method, METHODS)
     light, x, apex = polygon_arguments(name, vertices, x)
-    if max_error is not None:
-        max_error = check_number(name, "max_error", max_error, dr.epsilon(x), 1, hint="It is a relative error, such as 1e-4.")
-    coeffs = project_light(light, x, apex, n, method, max_error)
+    coeffs = project_light(light, x, apex, n, method, error_argument(name, max_error, x))
     finite = all_finite(*light.vertices, x)
     coeffs = [dr.select(finite, c, float("nan")) for c in coeffs]
     if dr.is_jit_v(x) and dr.width(coeffs) == 1 and not dr.flag(dr.JitFlag.SymbolicScope):
