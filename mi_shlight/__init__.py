@@ -15,9 +15,19 @@ import importlib.util
 
 __version__ = "0.1.0"
 
-_LAZY = {"project_polygon": ".light.project", "project_mesh": ".light.mesh", "shade_zonal": ".light.zonal", "zonal_lambert": ".light.zonal",
-         "zonal_phong": ".light.zonal", "polygon_irradiance": ".light.irradiance", "sh_basis": ".sh.basis", "register": ".plugins",
-         "bake_transfer": ".transfer.bake", "load_transfer": ".transfer.store", "Transfer": ".transfer.store"}
+_MODULES = {
+    ".light.project": ("project_polygon",),
+    ".light.gradient": ("project_polygon_gradient", "project_polygon_spatial_gradient"),
+    ".light.shade": ("shade_polygon", "shade_polygon_gradient"),
+    ".light.mesh": ("project_mesh",),
+    ".light.zonal": ("shade_zonal", "zonal_lambert", "zonal_phong"),
+    ".light.irradiance": ("polygon_irradiance",),
+    ".sh.basis": ("sh_basis",),
+    ".plugins": ("register",),
+    ".transfer.bake": ("bake_transfer",),
+    ".transfer.store": ("load_transfer", "Transfer"),
+}
+_LAZY = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = ["__version__", *_LAZY]
 

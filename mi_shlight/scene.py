@@ -13,8 +13,9 @@ import numpy as np
 from .errors import UnsupportedSceneWarning
 from .light.polygon import EdgeBuffer, apex_direction, direction, strip_corners, strip_count
 
-PLANARITY = 1e-3
-"""Largest distance of a light's vertex from the light's plane, relative to the light's extent."""
+PLANARITY, BENT = 1e-3, 0.1
+"""Distances of a light's vertices from its mean plane, relative to its extent: beyond the first the light is reported, beyond the second
+refused."""
 
 RADIANCE_SAMPLES = 64
 """Stratified points over which the mean radiance of a textured light is taken."""
@@ -22,7 +23,12 @@ RADIANCE_SAMPLES = 64
 
 @dataclass
 class PolygonLight:
-    """One planar polygonal emitter: directed boundary edges of its mesh, so holes and concave outlines need no special care."""
+    """One polygonal emitter: directed boundary edges of its mesh, so holes and concave outlines need no special care.
+
+    The light of a uniform surface depends on its outline alone wherever all of its faces turn their front to the point, so corners need not
+    lie in one plane. Points that see only a part of the faces from the front, near the mean plane, get the difference of fronts and backs;
+    those behind the mean plane get nothing.
+    """
 
     name: str
     shape: object
@@ -37,6 +43,9 @@ class PolygonLight:
     vertices: np.ndarray = field(repr=False)
     """All vertex positions of the mesh, (V, 3) float64, world space."""
     normal: np.ndarray = field(repr=False)
+    """Unit normal of the mean plane, on the side that emits."""
+    bend: float = 0.0
+    """Largest distance of a vertex from the mean plane, relative to the light's extent."""
     textured: bool = False
 
     @property
@@ -143,12 +152,12 @@ def polygon_lights(scene, complain=warn) -> list:
     """Polygonal area lights of a scene, in the scene's order.
 
     Accepts ``shlight`` and ``area`` emitters on planar meshes (rectangles included). Other emitters are left out; `complain` is
-    called with a sentence about each.
+    called with a sentence about each, and about lights whose vertices are farther off a plane than `PLANARITY`.
 
     Raises
     ------
     ValueError
-        If a light's mesh is not planar or has no area, or if the scene has no polygonal light at all.
+        If a light's mesh is bent by more than `BENT` of its extent or has no area, or if the scene has no polygonal light at all.
     """
     lights = []
     for shape in scene.shapes():
@@ -168,6 +177,9 @@ def polygon_lights(scene, complain=warn) -> list:
             lights.append(_polygon_light(shape))
             if lights[-1].textured:
                 complain(f"texture of emitter '{name}': the light is taken as uniform with the texture's mean radiance.")
+            if lights[-1].bend > PLANARITY:           # without a figure: Python shows equal texts once while an optimiser moves vertices
+                complain(f"light '{name}': vertices lie more than {PLANARITY:g} of its extent off a plane. It is shaded by its outline, "
+                         "exact only where all faces are seen from the front; keep it planar, or split it into planar lights.")
     for emitter in scene.emitters():
         if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
             complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. It does not light "
@@ -263,17 +275,17 @@ def _polygon_light(shape) -> PolygonLight:
     else:
         normal /= length
         points = corners.reshape(-1, 3)
-        offset = np.abs((points - points.mean(axis=0)) @ normal).max() / extent
+        bend = float(np.abs((points - points.mean(axis=0)) @ normal).max() / extent)
         start, end = boundary_edges(faces, positions)
-        if offset > PLANARITY:
-            fault = f"vertices up to {offset:.3g} of its extent off the plane"
+        if bend > BENT:
+            fault = f"vertices up to {bend:.3g} of its extent off the plane"
         elif (areas @ normal < 0).any():
             fault = "faces wound both ways"
         elif len(start) < 3:
             fault = "one without an outline"
     if fault:
         raise ValueError(f"shprt: light '{shape_name(shape)}' must be a planar polygon (all faces wound the same way, vertices within "
-                         f"{PLANARITY:g} of its extent of one plane), got {fault}. Split it into planar lights, one shape each, or "
+                         f"{BENT:g} of its extent of one plane), got {fault}. Split it into planar lights, one shape each, or "
                          "repair its mesh.")
     emitter = shape.emitter()
     textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
@@ -282,7 +294,8 @@ def _polygon_light(shape) -> PolygonLight:
         start, end, faces = end, start, faces[:, ::-1]
     else:
         normal = -normal
-    return PolygonLight(shape_name(shape), shape, emitter, start, end, strips(start, end, faces, positions), positions, normal, textured)
+    return PolygonLight(shape_name(shape), shape, emitter, start, end, strips(start, end, faces, positions), positions, normal, bend,
+                        textured)
 
 
 def _diffuse_support(bsdf) -> tuple:
@@ -321,34 +334,41 @@ def _reflects_nothing(bsdf) -> bool:
 class LightTable:
     """Lights of a scene as flat Dr.Jit buffers for symbolic loops.
 
-    What depends on the geometry alone is made once; :py:meth:`attached` adds what a user may change or differentiate between
+    What depends on the lights' topology alone is made once; :py:meth:`attached` adds what a user may change or differentiate between
     renders.
     """
+
+    DRJIT_STRUCT = dict.fromkeys(("start", "end", "ends", "first_edge", "patches", "first_patch", "_emitters", "_surface"), object)
+    """Buffers that `dr.freeze` must know of, as it has to of all that an integrator holds."""
 
     def __init__(self, lights: list):
         self.count = len(lights)
         self._lights = lights
         offsets = np.cumsum([0] + [light.shape.vertex_count() for light in lights])
-        self.start = _index(np.concatenate([light.start + o for light, o in zip(lights, offsets)]))
-        self.end = _index(np.concatenate([light.end + o for light, o in zip(lights, offsets)]))
+        ends = np.concatenate([np.stack([light.start, light.end], axis=1) + o for light, o in zip(lights, offsets)])
+        self.start, self.end, self.ends = _index(ends[:, 0]), _index(ends[:, 1]), _index(ends.ravel())
         self.first_edge = _index(np.cumsum([0] + [len(light.start) for light in lights]))
         self.patches = _index(np.concatenate([light.patches.ravel() + o for light, o in zip(lights, offsets)]))
         self.first_patch = _index(np.cumsum([0] + [len(light.patches) for light in lights]))
-        flat = lambda rows: mi.Float(np.asarray(rows, dtype=np.float64).ravel().tolist())
-        self.centroid = flat([light.centroid for light in lights])
-        self.normal = flat([light.normal for light in lights])
         self._emitters = _index([dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(light.emitter))[0] for light in lights])
         self._samples = RADIANCE_SAMPLES if any(light.textured for light in lights) else 1
         self._surface = self._surface_points()
-        self.positions = self._radiance = None
+        self.positions = self.centroid = self.normal = self._radiance = None
 
     def attached(self) -> "LightTable":
         """A copy with the current vertex positions and radiance, which carry derivatives if derivatives are on."""
         table = copy.copy(self)
         table.positions = dr.concat([light.shape.vertex_positions_buffer() for light in self._lights])
+        table.centroid, table.normal = self._planes(dr.detach(table.positions))
         if not mi.is_spectral:
             table._radiance = dr.ravel(self._mean_radiance(dr.arange(mi.UInt32, self.count), None))
         return table
+
+    def outlines(self):
+        """Start and end of all edges: flat x, y, z, without derivatives."""
+        points = dr.ravel(dr.gather(mi.Point3f, dr.detach(self.positions), self.ends))
+        dr.eval(points)
+        return points
 
     def edges(self, light, x, active) -> EdgeBuffer:
         """Edges and strips of light number `light` for the points that it lights: none where `x` lies behind it or `active` is false."""
@@ -371,6 +391,23 @@ class LightTable:
         if self._radiance is None:
             return self._mean_radiance(light, wavelengths)
         return dr.gather(_spectrum_type(), self._radiance, light)
+
+    def _planes(self, positions) -> tuple:
+        """Mean corner of each light's outline, and its mean normal, on the side that emits: flat x, y, z."""
+        vertex = lambda table, e: dr.gather(mi.Vector3f, positions, dr.gather(mi.UInt32, table, e))
+        light = dr.arange(mi.UInt32, self.count)
+        first, last = dr.gather(mi.UInt32, self.first_edge, light), dr.gather(mi.UInt32, self.first_edge, light + 1)
+        origin = vertex(self.start, first)
+
+        def body(e, last, total, area, origin):
+            a, b = vertex(self.start, e) - origin, vertex(self.end, e) - origin
+            return e + 1, last, total + a, area + dr.cross(a, b), origin
+
+        state = first, last, mi.Vector3f(0), mi.Vector3f(0), origin
+        _, _, total, area, _ = dr.while_loop(state, lambda e, last, *_: e < last, body, mode="symbolic")
+        planes = dr.ravel(origin + total / mi.Float(last - first)), dr.ravel(-direction(area))
+        dr.eval(planes)
+        return planes
 
     def _surface_points(self) -> dict:
         """Area-uniform stratified points of each light as a flat table: what a radiance texture is looked up with."""

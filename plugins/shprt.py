@@ -44,7 +44,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - light_margin
    - |float|
-   - Distance in scene units by which a light's vertices may move before the transfer is baked again. (Default: 0)
+   - Distance in scene units by which a light's vertices may move before the transfer is baked again. Optimisations of a light's
+     place run faster with a margin of several steps. (Default: 0)
 
  * - strict
    - |bool|
@@ -67,8 +68,26 @@ their own visibility, in which the other lights are obstacles; more than four sh
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
 normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
 
-Differentiable through ``mi.render`` with respect to radiance, reflectance, and the vertices and transforms of lights; transfer and the
-normals of receivers are held fixed.
+Corners of a light need not lie in one plane: beyond 0.001 of the light's extent a warning names it, beyond 0.1 it is refused. It is shaded
+by its outline, which is exact for points that see all of its faces from the front.
+
+Differentiable through ``mi.render``, in forward and reverse mode and without noise beyond that of the pixel samples, with respect to
+
+- radiance and reflectance, spectra and textures (of a light by the texture's mean);
+- ``vertex_positions`` of lights and the ``to_world`` of rectangles; soft shadows follow the light, to the band limit of the transfer;
+- the points seen: vertices and ``to_world`` of receivers and of the sensor; if ``unshadowed`` also the shading normals.
+
+They agree with differences between its own pictures to 3e-5. Those by lights and points are the ones of ``edge`` (up to order 32) for
+every ``method``. Left out is:
+
+- The change of shadowed transfer, which is a constant of each pixel: occluders have no derivative, and a receiver or sensor that moves
+  takes along the visibility and the cosine that each pixel has. A light beyond ``light_margin`` is baked anew before the next picture,
+  which is no part of any derivative; with ``pixel`` neither is the change of the rays' directions.
+- Outlines that the camera sees, of lights and all other shapes: keep those that move out of view.
+
+``dr.freeze`` records functions that render and differentiate. Update the scene outside the function. Transfer per vertex is not
+baked inside either: call the integrator's ``prepare_scene(scene)`` before the first call and after each change of geometry. Otherwise the
+function keeps the transfer it has (``unshadowed`` and ``pixel`` need no more than the first call).
 
 .. tabs::
     .. code-tab:: xml
@@ -96,7 +115,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
-from ..light.project import METHODS, light_shader, project_light
+from ..light.project import METHODS, default_error, light_shader, project_light
+from ..light.quadrature import node_tables
 from ..light.zonal import times_pole_value, zonal_lambert, zonal_light_shader, zonal_shader
 from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
 from ..sh.basis import check_order
@@ -144,6 +164,8 @@ def read_parameters(props) -> dict:
 class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
+    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "occluders", "table", "bake_lights", "lookup"), object)
+
     def __init__(self, scene, strict: bool, seen: Fingerprint):
         self.seen = seen
         complain = refuse if strict else warn
@@ -156,7 +178,8 @@ class SceneState:
         self.size = size
         self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
         self.all_baked = all(r.baked or r.black for r in self.receivers)
-        self.groups = light_groups(len(self.lights))
+        bounds = light_groups(len(self.lights))
+        self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
         self.table = LightTable(self.lights)
         self.bake_lights = BakeLights(self.lights, 0.0)
@@ -190,6 +213,7 @@ def build():
                 rule = f"be at most {self._transfer.order}, the order of '{self.transfer_file}'"
                 raise ValueError(message("shprt", "order", rule, self.order, "Bake the file at a higher order, or lower 'order'."))
             self._state = None
+            self._nodes = node_tables(mi.Float, self.order, default_error(mi.Float(0)))     # held for dr.freeze to see
 
         def parameters(self) -> dict:
             """All parameters with their values, as `mi.load_dict` takes them."""
@@ -208,7 +232,14 @@ def build():
             """Find the lights and bake the transfer if that is due; rendering calls it. Returns the baked transfer or None.
 
             `progress`: as in :py:func:`mi_shlight.bake_transfer`.
+
+            While `dr.freeze` records a function nothing can be looked at or baked: what was prepared before is used as it is.
             """
+            if dr.flag(dr.JitFlag.FreezingScope):
+                if self._state is None or self._state.occluders.scene is not scene:
+                    raise RuntimeError("shprt: 'scene' must be prepared before dr.freeze records a function that renders it. Call "
+                                       "integrator.prepare_scene(scene) first, and again whenever a shape has moved.")
+                return self._transfer
             seen = Fingerprint(scene)
             old = self._state
             if old is None or (old.seen.geometry, old.seen.lights) != (seen.geometry, seen.lights):
@@ -261,59 +292,74 @@ def build():
             state = self._state
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
-            n = dr.detach(dr.select(front, si.sh_frame.n, -si.sh_frame.n))
-            shader_of = self._shader_source(pi, si, n, ~front, sampler, lit)
-            irradiance = self._lighting(table, shader_of, si, lit)
+            n = dr.select(front, si.sh_frame.n, -si.sh_frame.n)
+            shader_of = self._shader_source(table, pi, si, n, ~front, sampler, lit)
+            irradiance = self._lighting(table, shader_of, si, n, lit)
             return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
 
-        def _shader_source(self, pi, si, n, back_side, sampler, lit):
-            """Function from a light group's number to the shader that meets the group's lights with the transfer at each hit."""
-            shader = lambda coeffs: light_shader([dr.detach(t) for t in coeffs], self.order, self.method)
+        def _shader_source(self, table, pi, si, n, back_side, sampler, lit):
+            """Function from a light group's number to the shader that meets the group's lights with the transfer at each hit.
+
+            A shader is given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
+            """
             if self.transfer == "unshadowed":
-                if self.method in ("auto", "edge"):   # symmetric about n: order + 1 coefficients instead of (order + 1)^2
-                    by_zones = zonal_light_shader if self.method == "auto" else zonal_shader
-                    shade = by_zones(n, times_pole_value(zonal_lambert(self.order)))
-                else:
-                    shade = shader(cosine_transfer(n, self.order))
+                shade = self._unshadowed_shader(n)
                 return lambda g, first, last: shade
-            state, lookup, traced, p = self._state, None, lit, dr.detach(si.p)
+            state, lookup, traced, p, n = self._state, None, lit, dr.detach(si.p), dr.detach(n)
             if self.transfer_domain == "vertex":
                 lookup = state.lookup
                 rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
                 traced = lit & ~baked
             if lookup is None or not state.all_baked:
-                shift = sampler.next_2d(lit)
+                shift, lights = sampler.next_2d(lit), state.bake_lights.at(table.outlines(), table.normal)
                 samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
             def shader_of(g, first, last):
                 coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
                 if lookup is None or not state.all_baked:
-                    by_rays = shadowed_transfer(state.occluders, state.bake_lights, (first, last), p, n, self.order, samples,
+                    by_rays = shadowed_transfer(state.occluders, lights, (first, last), p, n, self.order, samples,
                                                 shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
-                return shader(coeffs)
+                shade = light_shader([dr.detach(t) for t in coeffs], self.order, self.method)
+                return lambda light, x, apex, n: shade(light, x, apex)
 
             return shader_of
 
-        def _lighting(self, table, shader_of, si, lit):
-            """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
-            groups = mi.UInt32(self._state.groups)
-            group_count = len(self._state.groups) - 1
-            wavelengths = si.wavelengths
+        def _unshadowed_shader(self, n):
+            """Shader for hits with normal `n` where nothing casts shadows."""
+            weights = times_pole_value(zonal_lambert(self.order))       # symmetric about n: order + 1 numbers instead of (order + 1)^2
+            by_zones = zonal_shader if self.method == "edge" else zonal_light_shader
+            zonal = lambda light, x, apex, n: by_zones(n, weights)(light, x, apex)
+            if self.method in ("auto", "edge"):
+                return zonal
+            full = light_shader(cosine_transfer(dr.detach(n), self.order), self.order, self.method)
+            if not dr.grad_enabled(n):
+                return lambda light, x, apex, n: full(light, x, apex)
 
-            def group_body(g, total, x):
+            def shade(light, x, apex, n):
+                turned = zonal(light.detached(), dr.detach(x), apex, n)
+                return full(light, x, apex) + dr.replace_grad(mi.Float(0), turned)
+
+            return shade
+
+        def _lighting(self, table, shader_of, si, n, lit):
+            """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
+            groups, group_count, wavelengths = self._state.groups, self._state.group_count, si.wavelengths
+
+            def group_body(g, total, x, n):
                 first, last = dr.gather(mi.UInt32, groups, g), dr.gather(mi.UInt32, groups, g + 1)
                 shade = shader_of(g, first, last)
 
-                def light_body(k, total, x):
-                    value = shade(table.edges(k, x, lit), x, table.apex(k, x))
-                    return k + 1, total + table.radiance(k, wavelengths) * value, x
+                def light_body(k, total, x, n):
+                    value = shade(table.edges(k, x, lit), x, table.apex(k, x), n)
+                    return k + 1, total + table.radiance(k, wavelengths) * value, x, n
 
-                _, total, x = dr.while_loop((first, total, x), lambda k, *_: k < last, light_body, mode="symbolic",
-                                            max_iterations=-1)
-                return g + 1, total, x
+                _, *state = dr.while_loop((first, total, x, n), lambda k, *_: k < last, light_body, mode="symbolic",
+                                          max_iterations=-1)
+                return g + 1, *state
 
-            start = (mi.UInt32(0), table.radiance(mi.UInt32(0), wavelengths) * 0, mi.Point3f(si.p))
+            zero = table.radiance(mi.UInt32(0), wavelengths) * 0
+            start = (mi.UInt32(0), zero, mi.Point3f(si.p), mi.Normal3f(n))
             return dr.while_loop(start, lambda g, *_: g < group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
         def _coefficients(self, table, si, valid):

@@ -248,8 +248,17 @@ INTEGRATOR = """\
         <integer name="order" value="$order"/>
     </integrator>"""
 
+INTEGRATOR_BY_PIXEL = """\
+    <integrator type="shprt">
+        <integer name="order" value="$order"/>
+        <string name="method" value="edge"/>
+        <string name="transfer_domain" value="pixel"/>
+        <integer name="transfer_samples" value="128"/>
+    </integrator>"""
 
-def xml_sensor(origin, target, fov: float, extra: str = "") -> str:
+
+def xml_sensor(origin, target, fov: float, extra: str = "", rfilter: str = "gaussian",
+               sampler: str = "independent") -> str:
     origin, target = (", ".join(f"{c:g}" for c in point) for point in (origin, target))
     return f"""\
     <sensor type="perspective" id="sensor">
@@ -258,7 +267,7 @@ def xml_sensor(origin, target, fov: float, extra: str = "") -> str:
         <transform name="to_world">
             <lookat origin="{origin}" target="{target}" up="0, 1, 0"/>
         </transform>
-        <sampler type="independent">
+        <sampler type="{sampler}">
             <integer name="sample_count" value="$spp"/>
         </sampler>
         <film type="hdrfilm">
@@ -266,7 +275,7 @@ def xml_sensor(origin, target, fov: float, extra: str = "") -> str:
             <integer name="height" value="$resy"/>
             <string name="pixel_format" value="rgb"/>
             <string name="component_format" value="float32"/>
-            <rfilter type="gaussian"/>
+            <rfilter type="{rfilter}"/>
         </film>
     </sensor>"""
 
@@ -423,6 +432,32 @@ def sculpture_scene() -> str:
         xml_mesh("light-arrow", "sculpture_light_arrow", radiance=(16.0, 23.0, 37.0)))
 
 
+def inverse_room() -> str:
+    return xml_scene(
+        "Purpose: recover the light from the picture (inverse_rendering.py): blockers at several heights, so that penumbras of "
+        "several widths fall on floor and walls, and a light out of view with room to move. Visibility is traced anew at "
+        "every pixel, as the light moves. Picture: a column, a floating slab and a box in the corner of a room, lit from the left.",
+        xml_defaults(1, 64, 64), INTEGRATOR_BY_PIXEL,
+        xml_sensor((0.7, 3.3, 4.3), (0.1, 0.25, -0.2), 32, rfilter="box", sampler="multijitter"),
+        xml_diffuse("plaster", (0.70, 0.70, 0.70)),
+        xml_diffuse("sand", (0.65, 0.65, 0.60)),
+        xml_diffuse("sky", (0.60, 0.65, 0.70)),
+        xml_diffuse("clay", (0.70, 0.55, 0.50)),
+        xml_diffuse("straw", (0.70, 0.70, 0.55)),
+        xml_diffuse("slate", (0.50, 0.60, 0.70)),
+        xml_shape("floor", "rectangle", ('<scale value="2.2"/>', '<rotate x="1" angle="-90"/>'), "plaster"),
+        xml_shape("back", "rectangle", ('<scale x="2.2"/>', '<translate y="1" z="-1.4"/>'), "sand"),
+        xml_shape("side", "rectangle", ('<scale x="2.2"/>', '<rotate y="1" angle="-90"/>', '<translate x="1.5" y="1"/>'), "sky"),
+        xml_shape("column", "cube", ('<scale x="0.2" y="0.45" z="0.2"/>', '<rotate y="1" angle="20"/>',
+                                     '<translate x="-0.5" y="0.45" z="-0.2"/>'), "clay"),
+        xml_shape("slab", "cube", ('<scale x="0.45" y="0.03" z="0.3"/>', '<rotate y="1" angle="10"/>',
+                                   '<translate x="0.25" y="0.75" z="-0.5"/>'), "straw"),
+        xml_shape("box", "cube", ('<scale x="0.25" y="0.2" z="0.25"/>', '<rotate y="1" angle="-30"/>',
+                                  '<translate x="0.4" y="0.2" z="0.35"/>'), "slate"),
+        xml_shape("light", "rectangle", ('<scale x="0.7" y="0.4"/>', '<lookat origin="-1.5, 1.9, 0.7" target="0, 0.3, 0" '
+                                         'up="0, 1, 0"/>'), radiance=(12.0, 10.0, 7.0)))
+
+
 # ------------------------------------------------------------------------------------------------ everything
 ARROW = ([(0.0, -0.7), (0.6, 0.05), (0.25, 0.05), (0.25, 0.7), (-0.25, 0.7), (-0.25, 0.05), (-0.6, 0.05)],
          [(0, 1, 2), (0, 2, 5), (0, 5, 6), (2, 3, 4), (2, 4, 5)])
@@ -447,7 +482,7 @@ def generate(directory: Path = HERE) -> list[Path]:
         "sculpture_light_arrow": flat_light(*ARROW, (-1.7, 4.7, -0.6), (0.3, 2.1, 1.8)),
     }
     scenes = {"cornell_box": cornell_box(), "floor": floor_scene(), "plant": plant_scene(),
-              "sculpture": sculpture_scene()}
+              "sculpture": sculpture_scene(), "inverse_room": inverse_room()}
     (directory / "meshes").mkdir(parents=True, exist_ok=True)
     written = []
     for name, surface in meshes.items():

@@ -48,8 +48,8 @@ from mi_shlight.light.quadrature import demand
 from mi_shlight.llvm import llvm_info
 from tests import reference
 from validation.baselines import monomial_shader, project_monomial, project_monte_carlo
-from validation.engine_report import (ACCURACY, GROUPS, LIGHT_COUNT, MONOMIAL, QUAD, QUICK, STANDARD_ORDER, VERDICT, Plan, Record,
-                                      methods_of, plot, print_distances, print_table, significant, targets)
+from validation.engine_report import (ACCURACY, GROUPS, LIGHT_COUNT, MONOMIAL, QUAD, QUICK, STANDARD_ORDER, Plan, Record, methods_of,
+                                      plot, print_distances, print_table, print_verdicts, significant, targets)
 
 ROOT = pathlib.Path(__file__).parents[1]
 RESULTS = ROOT / "validation" / "results"
@@ -309,18 +309,10 @@ def measure_monte_carlo(record: Record) -> None:
                                                "units": significant(spent / unit), "ns": significant(spent)})
 
 
-def first_call(task: dict) -> dict:
-    """Seconds of first calls in this process; see :py:func:`in_fresh_process`."""
+def first_seconds(jobs: dict) -> dict:
+    """Seconds of the first run of each function in this process, one after the other, once Dr.Jit itself has started."""
     dr.eval(dr.opaque(Float, 1) + 1)                          # starts Dr.Jit and LLVM
-    method, order, count = task["method"], task["order"], task.get("lights")
-    corners, seconds = ellipse(QUAD), {}
-    base = points_around(corners, DISTANCE)
-    prepared, widths = vectors(corners), {width: Points(base, width) for width in (1, 64, 1024)}
-    if count:
-        jobs = {"lights": functools.partial(shade_all, method, order, LightBuffers(count), widths[64])}
-    else:
-        jobs = {f"{group}_{width}": functools.partial(evaluation(group, method, order), prepared, widths[width])
-                for width in (1, 1024) for group in GROUPS}
+    seconds = {}
     for name, job in jobs.items():
         start = time.perf_counter()
         dr.eval(job())
@@ -329,11 +321,25 @@ def first_call(task: dict) -> dict:
     return seconds
 
 
-def in_fresh_process(threads: int, **task) -> dict:
-    """:py:func:`first_call` in a new process with a new home, where Dr.Jit keeps its kernels."""
+def first_call(task: dict) -> dict:
+    """Seconds of first calls in this process; see :py:func:`in_fresh_process`."""
+    method, order, count = task["method"], task["order"], task.get("lights")
+    corners = ellipse(QUAD)
+    base = points_around(corners, DISTANCE)
+    prepared, widths = vectors(corners), {width: Points(base, width) for width in (1, 64, 1024)}
+    if count:
+        jobs = {"lights": functools.partial(shade_all, method, order, LightBuffers(count), widths[64])}
+    else:
+        jobs = {f"{group}_{width}": functools.partial(evaluation(group, method, order), prepared, widths[width])
+                for width in (1, 1024) for group in GROUPS}
+    return first_seconds(jobs)
+
+
+def in_fresh_process(threads: int, module: str = "validation.engine", **task) -> dict:
+    """``first_call(task)`` of a module in a new process with a new home, where Dr.Jit keeps its kernels."""
     with tempfile.TemporaryDirectory() as home:
         environment = {**os.environ, "HOME": home, "PYTHONUSERBASE": site.getuserbase()}
-        command = [sys.executable, "-m", "validation.engine", "--threads", str(threads), "--first-call", json.dumps(task)]
+        command = [sys.executable, "-m", module, "--threads", str(threads), "--first-call", json.dumps(task)]
         done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900)
     if done.returncode:
         raise RuntimeError(f"exit status {done.returncode}: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
@@ -394,10 +400,7 @@ def main(arguments=None) -> int:
     lines = targets(record, plan)
     print_table(record, plan)
     print_distances(record, plan)
-    print("\nTargets")
-    for line in lines:
-        print(f"{VERDICT[line['met']]:6s} {line['target']}: {line['measured']}")
-    print("".join(f"\nFAILED {failure}" for failure in record.failures))
+    print_verdicts(record, lines)
     options.out.mkdir(parents=True, exist_ok=True)
     report.update(targets=lines, failures=record.failures, **record.rows)
     (options.out / "engine.json").write_text(json.dumps(report, indent=1) + "\n")

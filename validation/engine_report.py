@@ -102,15 +102,17 @@ def break_even(record: Record, order: int) -> float:
     return float(np.exp(np.interp(np.log(np.median(edge)), np.log(units), np.log(points), math.nan, math.nan))) / QUAD
 
 
+def verdict(target: str, value, limit: float, at_most: bool = True, text: str = "{:.3g}") -> dict:
+    """One line of a list of targets; `value` is None or NaN if it was not measured."""
+    known = value is not None and not math.isnan(value)
+    return {"target": target, "limit": limit, "measured": text.format(value) if known else "not measured",
+            "met": bool(value <= limit if at_most else value >= limit) if known else None}
+
+
 def targets(record: Record, plan: Plan) -> list:
     """(target, measured, met) for each target; met is None where nothing was measured."""
     out = []
-
-    def check(target, value, limit, at_most=True, text="{:.3g}"):
-        known = value is not None and not math.isnan(value)
-        out.append({"target": target, "limit": limit, "measured": text.format(value) if known else "not measured",
-                    "met": bool(value <= limit if at_most else value >= limit) if known else None})
-
+    check = lambda *arguments, **options: out.append(verdict(*arguments, **options))
     standard = f"order {STANDARD_ORDER}"
     units = lambda group, method, edges=QUAD, order=STANDARD_ORDER: record.units(group, method, order, edges)
     for name, edges, limit in (("quadrilateral", QUAD, 40), ("triangle", TRIANGLE, 30)):
@@ -172,6 +174,13 @@ def print_distances(record: Record, plan: Plan) -> None:
         equal = break_even(record, order)
         if not math.isnan(equal):
             print(f"cubature costs as much as the edge form when it has {equal:.2g} points per edge")
+
+
+def print_verdicts(record: Record, lines: list) -> None:
+    print("\nTargets")
+    for line in lines:
+        print(f"{VERDICT[line['met']]:6s} {line['target']}: {line['measured']}")
+    print("".join(f"\nFAILED {failure}" for failure in record.failures))
 
 
 def plot(record: Record, plan: Plan, path: pathlib.Path) -> None:

@@ -1,11 +1,17 @@
 """What the public functions of this folder share: a polygon and points as the user gives them, checked and ready for the kernels."""
 from __future__ import annotations
 
+import numbers
+
 import drjit as dr
 
 from ..arrays import vectors3
 from ..errors import check_number, message
 from .polygon import VertexList, interior_direction
+
+
+SCALE = 0.25
+"""Factor of all lengths: differences of the largest numbers stay finite."""
 
 
 def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
@@ -19,7 +25,7 @@ def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
         raise ValueError(message(function, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
     vertices, *others = vectors3(function, vertices=list(vertices), x=x, **vectors)
     vertices, (x, *others) = [not_literal(v) for v in vertices], [not_literal(v) for v in others]
-    vertices, x = [v * 0.25 for v in vertices], x * 0.25       # differences of the largest numbers stay finite
+    vertices, x = [v * SCALE for v in vertices], x * SCALE
     return VertexList(vertices), x, interior_direction(vertices, x), *others
 
 
@@ -34,6 +40,24 @@ def error_argument(function: str, max_error, x):
     if max_error is None:
         return None
     return check_number(function, "max_error", max_error, dr.epsilon(x), 1, hint="It is a relative error, such as 1e-4.")
+
+
+def float_list(function: str, argument: str, values, number, least: int, most: int, hint: str) -> list:
+    """Entries of a list of `least` to `most` floats: Python floats, or Dr.Jit floats as `number`; TypeError or ValueError if not."""
+    rule = f"be a list of {least} floats" if least == most else f"be a list of {least} to {most} floats"
+    if not isinstance(values, (list, tuple)):
+        raise TypeError(message(function, argument, rule, values, hint))
+    if not least <= len(values) <= most:
+        raise ValueError(message(function, argument, rule, values, hint))
+    out = []
+    for value in values:
+        if isinstance(value, numbers.Real) and not isinstance(value, bool):
+            out.append(float(value))
+        elif number is not float and dr.is_array_v(value) and dr.is_float_v(value) and dr.depth_v(value) == 1:
+            out.append(number(value))
+        else:
+            raise TypeError(message(function, argument, rule + ", Dr.Jit floats only together with Dr.Jit vectors", value))
+    return out
 
 
 def all_finite(*vectors):

@@ -14,8 +14,23 @@ The local vector is rotated to the world by ``Rz(alpha) Ry(beta)``, (alpha, beta
 ``Ry(beta) = X^T Rz(beta) X`` and X the constant rotation by 90 degrees about x. X turns the parity in z into that in y and keeps the
 one in x, so three quarters of it are zero; the local vector, odd in z, meets a quarter of the rest.
 
-Neither lobes nor a recurrence over the degree ([W18] needs both), so there is less to compute and less to round. Derived for this
-package; not in the papers.
+Neither lobes nor a recurrence over the degree ([W18] needs both), so there is less to compute and less to round.
+
+Derivatives. Only the border of the polygon moves with its corners; where corner i moves, a point of the edge follows by its share of it.
+Share over distance is ``w_i = sin(h - s) / (|v_i| sin 2h)`` at the angle s from the edge's middle, and likewise ``w_j`` with
+``sin(h + s)`` (the two terms of [W20] eq. 18), so that by Reynolds' theorem
+
+    dL_lm / dv_i = -n_e int w_i Y_lm(omega(s)) ds ,   dL_lm / dv_j = -n_e int w_j Y_lm(omega(s)) ds                          (3)
+
+summed over the edges. On the equator ``Y_lm = N_lm P_l^|m|(0) {cos, sin}(|m| (phi + s))``, non-zero for l + m even only, and with
+``sin(h -+ s) / sin 2h = cos s / (2 cos h) -+ sin s / (2 sin h)`` the integrals are
+
+    int cos s cos ms ds = S_{m-1} + S_{m+1} ,   int sin s sin ms ds = S_{m-1} - S_{m+1} ,   S_m = sin(m h) / m ,  S_0 = h .   (4)
+
+The second cancels for short edges; it is taken from ``m h - sin(m h)``, whose second differences in m are positive. For shading the
+transfer is rotated to each edge's frame once, for the value and all derivatives.
+
+Derived for this package; not in the papers.
 """
 from __future__ import annotations
 
@@ -28,7 +43,7 @@ import drjit as dr
 import numpy as np
 
 from ..sh.lobes import fibonacci_hemisphere, sh_matrix
-from .polygon import EdgeFrame, edge_frame, fan_solid_angle
+from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, zeros
 
 BODY_SIZE = 5000
 """Multiplications by X in one loop body: order 20 just fits. Higher degrees get loops of their own, as straight code compiles the slower
@@ -42,6 +57,8 @@ class Constants(NamedTuple):
 
     slope: tuple
     """``2 N_lm P_l^|m|'(0) / (l (l + 1))`` by flat index; 0 for l + m even."""
+    level: tuple
+    """``N_lm P_l^|m|(0)`` by flat index; 0 for l + m odd."""
     x90: tuple
     """X, by rows: for each flat index the pairs (column, value) of its non-zero entries."""
     x90_transposed: tuple
@@ -51,7 +68,7 @@ class Constants(NamedTuple):
 def constants(order: int) -> Constants:
     """Tables of one order, in float64."""
     count = (order + 1) ** 2
-    slope = [0.0] * count
+    slope, level = [0.0] * count, [0.0] * count
     equator = sh_matrix(np.array([[1.0, 0.0, 0.0]]), order)[0]       # N_lm P_l^m(0) for m >= 0
     for l in range(1, order + 1):
         for m in range(l + 1):
@@ -59,6 +76,9 @@ def constants(order: int) -> Constants:
                 ratio = math.sqrt((2 * l + 1) / (2 * l - 1) * (l - m) * (l + m))
                 value = float(2 * ratio * equator[l * (l - 1) + m] / (l * (l + 1)))
                 slope[l * (l + 1) + m] = slope[l * (l + 1) - m] = value
+    for l in range(order + 1):
+        for m in range(l % 2, l + 1, 2):
+            level[l * (l + 1) + m] = level[l * (l + 1) - m] = float(equator[l * (l + 1) + m])
     half = fibonacci_hemisphere(3 * (2 * order + 1))
     directions = np.concatenate([half, -half])
     before, after = sh_matrix(directions, order), sh_matrix(directions[:, [0, 2, 1]] * [1, -1, 1], order)
@@ -69,94 +89,242 @@ def constants(order: int) -> Constants:
         for i, j in zip(*np.nonzero(abs(x90) > 1e-9)):
             rows[l * l + i].append((l * l + j, float(x90[i, j])))
             columns[l * l + j].append((l * l + i, float(x90[i, j])))
-    return Constants(tuple(slope), tuple(map(tuple, rows)), tuple(map(tuple, columns)))
+    return Constants(tuple(slope), tuple(level), tuple(map(tuple, rows)), tuple(map(tuple, columns)))
 
 
 def project_edge(light, x, apex, order: int, active=True) -> list:
     """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
-    table, coeffs = constants(order), []
+    coeffs = []
     for bands in _bodies(order):
-        @_steady
-        def term(v_i, v_j, apex, bands=bands):
-            frame = edge_frame(v_i, v_j)
-            (alpha, beta, phi), length = _angles(frame, bands[-1])
-            wave = [[f * c[m] for m, f in enumerate(length)] for c in phi]
-            local = [None] * (order + 1) ** 2         # None: zero by symmetry
-            for l, m, i, j in _odd(bands):
-                local[i] = wave[0][m] * table.slope[i]
-                if m:
-                    local[j] = wave[1][m] * table.slope[i]
-            values = _product(table.x90, local, bands)
-            values = _rotate_z(values, *beta, bands)
-            values = _product(table.x90_transposed, values, bands)
-            values = _rotate_z(values, *alpha, bands)
-            if bands[0] == 0:
-                values[0] = fan_solid_angle(apex, frame) * MONOPOLE
-            return [values[i] for i in _flat(bands)]
-
-        coeffs += light.sum(term, x, apex, len(_flat(bands)), active)
+        coeffs += light.sum(_differentiable(_values(order, bands), _tangent(order, bands)), x, apex, len(_flat(bands)), active)
     return coeffs
+
+
+def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
+    """``(coeffs, (dx, dy, dz))``: coefficients of `light` and their derivatives by `x`, in one pass over the edges ([W20] Algorithm 2)."""
+    coeffs, gradient = [], ([], [], [])
+    for bands in _bodies(order, 2):
+        values, lines, width = _values(order, bands), _lines(order, bands), len(_flat(bands))
+
+        def term(v_i, v_j, apex, values=values, lines=lines):
+            frame = edge_frame(v_i, v_j)
+            inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
+            line = lines(frame, [inverse_i + inverse_j, inverse_i - inverse_j])
+            return values(v_i, v_j, apex) + [n * value for n in frame.normal for value in line]
+
+        total = light.sum(term, x, apex, 4 * width, active)
+        coeffs += total[:width]
+        for k, part in enumerate(gradient):
+            part += total[(k + 1) * width:(k + 2) * width]
+    return coeffs, gradient
+
+
+def project_edge_lines(light, x, apex, order: int) -> tuple:
+    """``(coeffs, rows)``: coefficients of a :py:class:`~mi_shlight.light.polygon.VertexList` and, of each of its edges, what its corners
+    do to them.
+
+    ``rows[e]`` holds ``-int w_i Y_lm ds`` for all lm, ``-int w_j Y_lm ds`` for all lm, and the three components of ``n_e``; (3).
+    """
+    coeffs, rows = [], []
+    for bands in _bodies(order, 3):
+        values, lines, width = _values(order, bands), _lines(order, bands), len(_flat(bands))
+
+        def term(v_i, v_j, apex, values=values, lines=lines):
+            frame = edge_frame(v_i, v_j)
+            inverse_i, inverse_j = -inverse_length(v_i), -inverse_length(v_j)
+            return [*values(v_i, v_j, apex), *lines(frame, [inverse_i, inverse_i]), *lines(frame, [inverse_j, -inverse_j]), *frame.normal]
+
+        sums, kept = light.sum_and_keep(term, x, apex, width, 2 * width + 3)
+        coeffs += sums
+        rows.append([(row[:width], row[width:2 * width], row[2 * width:]) for row in kept])
+    joined = lambda parts: [value for part in parts for value in part]
+    return coeffs, [[*joined(part[0] for part in edge), *joined(part[1] for part in edge), *edge[0][2]] for edge in zip(*rows)]
 
 
 def edge_form_shader(transfer: list, order: int):
     """Function ``shade(light, x, apex, active)`` that gives ``sum_lm T_lm L_lm``: takes the transfer to the edges' frames."""
-    table = constants(order)
-    odd = [value != 0 for value in table.slope]
-    met = [any(odd[j] for j, _ in row) for row in table.x90]
+    terms = []
+    for bands in _bodies(order):
+        gradients = _shading(dr.detach(transfer), order, bands, value=False)
 
-    def term_of(bands):
-        @_steady
-        def term(v_i, v_j, apex):
-            frame = edge_frame(v_i, v_j)
-            (alpha, beta, phi), length = _angles(frame, bands[-1])
-            back = lambda angle: (angle[0], [-s for s in angle[1]])
-            values = _rotate_z(transfer, *back(alpha), bands)
-            values = _product(table.x90, values, bands)
-            values = _rotate_z(values, *back(beta), bands, met)
-            values = _product(table.x90_transposed, values, bands, odd)
-            cosine, sine = [None] * (order + 1), [None] * (order + 1)
-            for l, m, i, j in _odd(bands):
-                cosine[m] = _add(cosine[m], values[i], table.slope[i])
-                if m:
-                    sine[m] = _add(sine[m], values[j], table.slope[i])
-            total = transfer[0] * fan_solid_angle(apex, frame) * MONOPOLE if bands[0] == 0 else 0
-            for m, f in enumerate(length):
-                if cosine[m] is not None:
-                    wave = cosine[m] * phi[0][m] if sine[m] is None else dr.fma(cosine[m], phi[0][m], sine[m] * phi[1][m])
-                    total = dr.fma(wave, f, total)
-            return [total]
+        def tangent(v_i, v_j, by_i, by_j, gradients=gradients):
+            g = gradients(v_i, v_j, None)
+            return [dr.dot(type(v_i)(*g[:3]), by_i) + dr.dot(type(v_i)(*g[3:]), by_j)]
 
-        return term
-
-    terms = [term_of(bands) for bands in _bodies(order)]
+        terms.append(_differentiable(_shading(transfer, order, bands, gradients=False), tangent))
     return lambda light, x, apex, active=True: functools.reduce(operator.add, (light.sum(t, x, apex, 1, active)[0] for t in terms))
 
 
-def _steady(term):
-    """`term` with derivatives also where the edge's normal is near the z axis and its azimuth turns arbitrarily fast.
-
-    There they are taken in a frame that is tilted by a small angle, which changes them by about that angle.
+def shade_edge_lines(light, x, apex, transfer: list, order: int, value: bool = True) -> tuple:
+    """``(value, gradients)``: ``sum_lm T_lm L_lm`` of a :py:class:`~mi_shlight.light.polygon.VertexList`, or None unless asked for, and
+    its derivatives by each vertex.
     """
-    def steady(v_i, v_j, apex):
+    width, count = int(value), len(light.vertices)
+    total, gradients = zeros(x, width), [type(x)(0) for _ in range(count)]
+    for bands in _bodies(order):
+        sums, rows = light.sum_and_keep(_shading(transfer, order, bands, value=value), x, apex, width, 6)
+        total = [a + b for a, b in zip(total, sums)]
+        gradients = [g + type(x)(*rows[i][:3]) + type(x)(*rows[i - 1][3:]) for i, g in enumerate(gradients)]
+    return total[0] if value else None, gradients
+
+
+def _differentiable(term, tangent):
+    """`term` with the analytic derivatives of ``tangent(v_i, v_j, dv_i, dv_j)``, which is linear in the last two, for Dr.Jit's autodiff."""
+    def both(v_i, v_j, apex):
         if not dr.grad_enabled(v_i, v_j):
             return term(v_i, v_j, apex)
-        tilt = math.sqrt(dr.epsilon(v_i)) * 4
-        start, end, apex = dr.detach(v_i), dr.detach(v_j), dr.detach(apex)
-        normal = edge_frame(start, end).normal
-        near = dr.square(normal[0]) + dr.square(normal[1]) < dr.square(tilt / 2)
-        cos, sin = dr.select(near, math.cos(tilt), type(v_i[0])(1)), dr.select(near, math.sin(tilt), type(v_i[0])(0))
-        tilted = lambda v: type(v)(dr.fma(v[0], cos, v[2] * sin), v[1], dr.fma(v[2], cos, -(v[0] * sin)))
-        slopes = term(tilted(v_i), tilted(v_j), tilted(apex))
-        return [dr.replace_grad(value, slope) for value, slope in zip(term(start, end, apex), slopes)]
+        start, end = dr.detach(v_i), dr.detach(v_j)
+        slopes = tangent(start, end, v_i - start, v_j - end)
+        return [value + dr.replace_grad(type(value)(0), slope) for value, slope in zip(term(start, end, dr.detach(apex)), slopes)]
 
-    return steady
+    return both
 
 
-def _bodies(order: int) -> list:
+def _values(order: int, bands: range):
+    """Term of an edge in the coefficients of some bands."""
+    table = constants(order)
+
+    def term(v_i, v_j, apex):
+        frame = edge_frame(v_i, v_j)
+        (alpha, beta, phi), sines = _angles(frame, bands[-1])
+        wave = [[f * c[m] for m, f in enumerate(_lengths(frame, sines, bands[-1]))] for c in phi]
+        local = [None] * (order + 1) ** 2             # None: zero by symmetry
+        for l, m, i, j in _odd(bands):
+            local[i] = wave[0][m] * table.slope[i]
+            if m:
+                local[j] = wave[1][m] * table.slope[i]
+        values = _to_world(table, local, alpha, beta, bands)
+        if bands[0] == 0:
+            values[0] = fan_solid_angle(apex, frame) * MONOPOLE
+        return [values[i] for i in _flat(bands)]
+
+    return term
+
+
+def _lines(order: int, bands: range):
+    """Function ``(frame, (a, b))`` that gives ``int (a cos s / (2 cos h) - b sin s / (2 sin h)) Y_lm ds`` of some bands: ``w_i`` for
+    a = b, ``w_j`` for a = -b.
+    """
+    table = constants(order)
+
+    def lines(frame, factors):
+        (alpha, beta, phi), sines = _angles(frame, bands[-1])
+        even, odd = _line_integrals(frame, sines, bands[-1])
+        even, odd = [factors[0] * a for a in even], [factors[1] * b for b in odd]
+        local = [None] * (order + 1) ** 2
+        for l, m, i, j in _even(bands):
+            local[i] = dr.fma(even[m], phi[0][m], odd[m] * phi[1][m]) * table.level[i]
+            if m:
+                local[j] = dr.fma(even[m], phi[1][m], -(odd[m] * phi[0][m])) * table.level[i]
+        values = _to_world(table, local, alpha, beta, bands)
+        return [values[i] for i in _flat(bands)]
+
+    return lines
+
+
+def _tangent(order: int, bands: range):
+    """Derivatives of :py:func:`_values` along a displacement of the edge's ends."""
+    lines = _lines(order, bands)
+
+    def tangent(v_i, v_j, by_i, by_j):
+        frame = edge_frame(v_i, v_j)
+        a, b = dr.dot(frame.normal, by_i) * -inverse_length(v_i), dr.dot(frame.normal, by_j) * -inverse_length(v_j)
+        return lines(frame, [a + b, a - b])
+
+    return tangent
+
+
+def _shading(transfer: list, order: int, bands: range, value=True, gradients=True):
+    """Term of an edge in ``sum_lm T_lm L_lm`` of some bands: the value, and the derivatives by the two ends, as far as asked for."""
+    table = constants(order)
+    wanted = [value and slope != 0 or gradients and level != 0 for slope, level in zip(table.slope, table.level)]
+    met = [any(wanted[j] for j, _ in row) for row in table.x90]
+
+    def term(v_i, v_j, apex):
+        frame = edge_frame(v_i, v_j)
+        (alpha, beta, phi), sines = _angles(frame, bands[-1])
+        back = lambda angle: (angle[0], [-s for s in angle[1]])
+        values = _rotate_z(transfer, *back(alpha), bands)
+        values = _product(table.x90, values, bands)
+        values = _rotate_z(values, *back(beta), bands, met)
+        values = _product(table.x90_transposed, values, bands, wanted)
+        out = []
+        if value:
+            total = transfer[0] * fan_solid_angle(apex, frame) * MONOPOLE if bands[0] == 0 else 0
+            cosine, sine = _waves(values, table.slope, _odd(bands), order)
+            for m, f in enumerate(_lengths(frame, sines, bands[-1])):
+                if cosine[m] is not None:
+                    total = dr.fma(_wave(cosine[m], phi[0][m], sine[m], phi[1][m]), f, total)
+            out.append(total)
+        if gradients:
+            cosine, sine = _waves(values, table.level, _even(bands), order)
+            along, across = 0, 0
+            for m, (a, b) in enumerate(zip(*_line_integrals(frame, sines, bands[-1]))):
+                if cosine[m] is not None:
+                    along = dr.fma(_wave(cosine[m], phi[0][m], sine[m], phi[1][m]), a, along)
+                    if m:
+                        across = dr.fma(dr.fma(cosine[m], phi[1][m], -(sine[m] * phi[0][m])), b, across)
+            for line, v in ((along + across, v_i), (along - across, v_j)):
+                out += [*(frame.normal * (line * -inverse_length(v)))]
+        return out
+
+    return term
+
+
+def _waves(values: list, factors: tuple, entries, order: int) -> tuple:
+    """Cosine and sine waves along the equator, by m, of the `entries` of a vector; None where zero by symmetry."""
+    cosine, sine = [None] * (order + 1), [None] * (order + 1)
+    for _, m, i, j in entries:
+        cosine[m] = _add(cosine[m], values[i], factors[i])
+        if m:
+            sine[m] = _add(sine[m], values[j], factors[j])
+    return cosine, sine
+
+
+def _wave(a, cos, b, sin):
+    """``a cos + b sin`` where b may be None for zero."""
+    return a * cos if b is None else dr.fma(a, cos, b * sin)
+
+
+def _line_integrals(frame: EdgeFrame, sines: list, order: int) -> tuple:
+    """The integrals (4) over ``2 cos h`` and ``2 sin h``, m = 0 .. order; 0 for an edge without a plane. `sines`: of m h, to order + 1.
+
+    They grow without bound as the edge comes near the point; ``2 cos h`` counts as 2e-7 at least, which keeps derivatives finite.
+    """
+    usable = frame.arc > 0
+    h = 0.5 * frame.arc
+    sums = [h] + [sine * (1 / m) for m, sine in enumerate(sines[1:], 1)]
+    # m h - sin(m h)
+    square, excess = h * h, 1
+    for k in range(13 if dr.epsilon(frame.middle) > 1e-10 else 23, 3, -2):
+        excess = dr.fma(square * (-1 / (k * (k - 1))), excess, 1)
+    excess = h * square * (1 / 6) * excess
+    curve, step = 2 * dr.square(frame.sin_half) / (1 + frame.cos_half), excess
+    rest = [type(h)(0), excess]
+    for m in range(1, order + 1):
+        step = dr.fma(curve, sines[m], step)
+        rest.append(rest[m] + step)
+    rest = [rest[0]] + [value * (1 / m) for m, value in enumerate(rest[1:], 1)]
+    half = dr.select(usable, 0.5, type(h)(0))
+    along = half / dr.maximum(frame.cos_half, 1e-7)
+    across = half / dr.select(usable, frame.sin_half, 1)
+    return ([(sums[abs(m - 1)] + sums[m + 1]) * along for m in range(order + 1)],
+            [(rest[m + 1] - rest[abs(m - 1)]) * across if m else rest[0] for m in range(order + 1)])
+
+
+def _to_world(table: Constants, local: list, alpha: tuple, beta: tuple, bands: range) -> list:
+    """Some bands of a vector in the edge's frame, rotated to the world."""
+    values = _product(table.x90, local, bands)
+    values = _rotate_z(values, *beta, bands)
+    values = _product(table.x90_transposed, values, bands)
+    return _rotate_z(values, *alpha, bands)
+
+
+def _bodies(order: int, rotations: int = 1) -> list:
     """Degrees 0 .. order in ranges, each small enough for one loop body; what they share, the edge's frame, is little."""
     bodies, first, size = [], 0, 0
     for l in range(order + 1):
-        more = (2 * l + 1) ** 2 // 2
+        more = rotations * (2 * l + 1) ** 2 // 2
         if size and size + more > BODY_SIZE:
             bodies.append(range(first, l))
             first, size = l, 0
@@ -170,7 +338,7 @@ def _flat(bands: range) -> range:
 
 
 def _angles(frame: EdgeFrame, order: int) -> tuple:
-    """((alpha, beta, phi), length): multiples of the three angles as (cosines, sines), and ``sin(m h) / m`` for m = 0 .. order."""
+    """((alpha, beta, phi), sines): multiples of the three angles as (cosines, sines), and ``sin(m h)`` for m = 0 .. order + 1."""
     n = frame.normal
     squared = n[0] * n[0] + n[1] * n[1]
     tilted = squared > 1e-30                          # else n is the z axis, and any alpha will do
@@ -181,10 +349,13 @@ def _angles(frame: EdgeFrame, order: int) -> tuple:
     middle = frame.middle
     cos_phi = dr.fma(cos_alpha, middle[0], sin_alpha * middle[1]) * n[2] - rho * middle[2]
     sin_phi = dr.fma(cos_alpha, middle[1], -(sin_alpha * middle[0]))
-    half = _multiples(frame.cos_half, frame.sin_half, order)[1]
-    length = [frame.arc * 0.5] + [half[m] * (1 / m) for m in range(1, order + 1)]
     angles = ((cos_alpha, sin_alpha), (n[2], rho), (cos_phi, sin_phi))
-    return [_multiples(c, s, order) for c, s in angles], length
+    return [_multiples(c, s, order) for c, s in angles], _multiples(frame.cos_half, frame.sin_half, order + 1)[1]
+
+
+def _lengths(frame: EdgeFrame, sines: list, order: int) -> list:
+    """``sin(m h) / m`` for m = 0 .. order."""
+    return [frame.arc * 0.5] + [sines[m] * (1 / m) for m in range(1, order + 1)]
 
 
 def _multiples(cos, sin, order: int) -> tuple:
@@ -201,6 +372,13 @@ def _odd(bands: range):
     """(l, m, index of +m, index of -m) for all l + m odd, m >= 0."""
     for l in bands:
         for m in range(1 - l % 2, l + 1, 2):
+            yield l, m, l * (l + 1) + m, l * (l + 1) - m
+
+
+def _even(bands: range):
+    """As :py:func:`_odd` for l + m even."""
+    for l in bands:
+        for m in range(l % 2, l + 1, 2):
             yield l, m, l * (l + 1) + m, l * (l + 1) - m
 
 

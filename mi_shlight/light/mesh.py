@@ -24,7 +24,7 @@ import numpy as np
 from ..arrays import array3, vectors3
 from ..errors import check_choice, message
 from ..sh.basis import check_order
-from .arguments import all_finite, error_argument, not_literal
+from .arguments import SCALE, all_finite, error_argument, not_literal
 from .edge_frame import MONOPOLE
 from .polygon import direction, edge_frame, fan_solid_angle, fold, largest_component, power_of_two_scale, strip_corners, strip_count
 from .project import METHODS, boundary_form, default_error, project_polygon
@@ -455,7 +455,7 @@ def _mesh_arguments(function: str, vertices, faces, radiance, x) -> tuple:
         radiance = _checked_table(function, radiance, len(faces))
     if not jit:
         return positions, faces, radiance, x
-    return positions * 0.25, faces, radiance, not_literal(x) * 0.25        # differences of the largest numbers stay finite
+    return positions * SCALE, faces, radiance, not_literal(x) * SCALE
 
 
 def _checked_faces(function: str, faces, vertex_count: int) -> list:

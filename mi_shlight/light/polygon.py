@@ -14,6 +14,10 @@ import drjit as dr
 from ..arrays import array3
 
 
+MANY_OUTPUTS = 64
+"""Results of all edges together above which edges are computed side by side instead of in a loop."""
+
+
 class EdgeFrame(NamedTuple):
     """One edge of the polygon as a great-circle arc on the unit sphere about the shading point."""
 
@@ -173,18 +177,59 @@ class VertexList:
     def detached(self):
         return VertexList([dr.detach(v) for v in self.vertices])
 
+    def grad_enabled(self) -> bool:
+        return dr.grad_enabled(self.vertices)
+
     def edge_count(self):
         return len(self.vertices)
 
     def sum(self, term, x, apex, width: int, active=True) -> list:
         """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``; 0 where not `active`.
 
-        One symbolic loop, so that kernels do not grow with the vertex count. The loop reads the vertices from local memory, or,
-        as that carries no derivatives, from a buffer if they have gradients. Only vertices with gradients inside somebody
-        else's symbolic loop are unrolled.
+        One symbolic loop, so that kernels do not grow with the vertex count.
         """
-        n = len(self.vertices)
-        return self._fold(n, lambda e: (e, dr.select(e + 1 < n, e + 1, 0)), _adding(term), zeros(x, width), (x, apex), active)
+        add = _adding(term)
+        body = lambda _, corners, total, x, apex: add(corners, total, x, apex)
+        return self._fold(len(self.vertices), self._ends, body, zeros(x, width), (x, apex), active)
+
+    def sum_and_keep(self, term, x, apex, width: int, kept: int) -> tuple:
+        """As :py:meth:`sum` for terms of `width` + `kept` floats: the sum of the first ones, and a list of the others for each edge.
+
+        Carries no derivatives.
+        """
+        light, x, apex = self.detached(), dr.detach(x), dr.detach(apex)
+        if not dr.is_jit_v(x):
+            rows = [term(v - x, light.vertices[(e + 1) % len(light.vertices)] - x, apex) for e, v in enumerate(light.vertices)]
+            return [sum(row[k] for row in rows) for k in range(width)], [row[width:] for row in rows]
+        n = len(light.vertices)
+        if n * kept > MANY_OUTPUTS and not dr.flag(dr.JitFlag.SymbolicScope):
+            return light._in_lanes(term, x, apex, width)
+
+        def body(e, corners, total, x, apex):
+            values = term(corners[0] - x, corners[1] - x, apex)
+            rows = [dr.select(e == i, value, total[width + i * kept + k]) for i in range(n) for k, value in enumerate(values[width:])]
+            return [t + value for t, value in zip(total, values[:width])] + rows
+
+        total = light._fold(n, light._ends, body, zeros(x, width + n * kept), (x, apex))
+        return total[:width], [total[width + e * kept:width + (e + 1) * kept] for e in range(n)]
+
+    def _in_lanes(self, term, x, apex, width: int) -> tuple:
+        """:py:meth:`sum_and_keep` with the edges side by side: a kernel with thousands of results would take minutes to compile.
+
+        The kernels are the same for all numbers of edges and points.
+        """
+        number, index = type(x[0]), dr.uint32_array_t(type(x[0]))
+        n, lanes = len(self.vertices), dr.width(self.vertices, x, apex)
+        corner, count = self._buffer(type(x), index, lanes), dr.opaque(index, n)
+        row = dr.arange(index, n * lanes)
+        lane = row // count
+        edge = row - lane * count
+        spread = lambda v: dr.gather(type(v), v + dr.zeros(type(v), lanes), lane)
+        x, apex = spread(x), spread(apex)
+        values = term(corner(edge, lane) - x, corner(dr.select(edge + 1 < count, edge + 1, 0), lane) - x, apex)
+        dr.eval(values)
+        rows = [dr.arange(index, lanes) * count + dr.opaque(index, e) for e in range(n)]
+        return [dr.block_sum(v, n) for v in values[:width]], [[dr.gather(number, v, row) for v in values[width:]] for row in rows]
 
     def only_strip(self):
         """Corners of the strip if there is only one, otherwise None."""
@@ -195,23 +240,37 @@ class VertexList:
 
     def fold_patches(self, body, total, x, active=True):
         """Run ``total = body(corners, total, x)`` over strips that together have the polygon's boundary; lanes not `active` stay."""
-        return self._fold(self.strip_count(), lambda i: strip_corners(i, len(self.vertices)), body, total, (x,), active)
+        fill = lambda _, corners, total, x: body(corners, total, x)
+        return self._fold(self.strip_count(), lambda i: strip_corners(i, len(self.vertices)), fill, total, (x,), active)
 
-    def _fold(self, count: int, corners, body, total, others: tuple, active):
+    def _ends(self, e) -> tuple:
+        return e, dr.select(e + 1 < len(self.vertices), e + 1, 0)
+
+    def _fold(self, count: int, corners, body, total, others: tuple, active=True):
+        """``for i in range(count): total = body(i, (vertices of corners(i)), total, *others)``; lanes not `active` stay.
+
+        Vertices are read from local memory, which carries no derivatives; from a buffer if they have gradients; and inside somebody else's
+        symbolic loop or call from the state of the loop, as there can be no buffer there, and Dr.Jit 1.5 aborts over local memory in calls.
+        """
         v, x = self.vertices, others[0]
-        attached = dr.grad_enabled(v)
         if not dr.is_jit_v(x):
             for i in range(count):
-                total = body(tuple(v[k] for k in corners(i)), total, *others) if active else total
+                total = body(i, tuple(v[k] for k in corners(i)), total, *others) if active else total
             return total
         index = dr.uint32_array_t(type(x[0]))
-        if attached and dr.flag(dr.JitFlag.SymbolicScope):
-            for i in range(count):
-                new = body(tuple(v[k] for k in corners(i)), total, *others)
-                total = new if active is True else dr.select(active, new, total)
-            return total
-        read = self._buffer(type(x), index) if attached else self._local(type(x), index)
-        return fold(index(0), index(count), lambda i: tuple(map(read, corners(i))), body, total, others, active)
+        bounds = index(0), index(count)
+        if dr.flag(dr.JitFlag.SymbolicScope):
+            pick = lambda v, i: functools.reduce(lambda found, k: dr.select(i == k, v[k], found), range(1, len(v)), v[0])
+            step = lambda i, total, v, *others: body(i, tuple(pick(v, k) for k in corners(i)), total, *others)
+            return fold(*bounds, lambda i: i, step, total, (v, *others), active)
+        if dr.grad_enabled(v):
+            lanes = dr.width(v)
+            lane, corner = dr.arange(index, lanes), self._buffer(type(x), index, lanes)
+            read = lambda i: corner(i, lane)
+        else:
+            read = self._local(type(x), index)
+        step = lambda found, total, *others: body(*found, total, *others)
+        return fold(*bounds, lambda i: (i, tuple(map(read, corners(i)))), step, total, others, active)
 
     def _local(self, kind, index):
         local = dr.alloc_local(kind, len(self.vertices))
@@ -219,11 +278,11 @@ class VertexList:
             local.write(vertex, index(i))
         return local.read
 
-    def _buffer(self, kind, index):
-        lanes = max(dr.width(v) for v in self.vertices)
+    def _buffer(self, kind, index, lanes: int):
+        """Function (corner number, lane) that reads from memory; differentiable."""
         buffer = kind(*(dr.concat([v[k] + dr.zeros(type(v[k]), lanes) for v in self.vertices]) for k in range(3)))
-        lane = dr.arange(index, lanes)
-        return lambda i: dr.gather(kind, buffer, i * lanes + lane)
+        lanes = dr.opaque(index, lanes)
+        return lambda i, lane: dr.gather(kind, buffer, i * lanes + lane)
 
 
 class EdgeBuffer:
@@ -240,6 +299,9 @@ class EdgeBuffer:
 
     def detached(self):
         return EdgeBuffer(dr.detach(self.positions), self.start, self.end, self.first, self.last, self.patches, self.one_strip)
+
+    def grad_enabled(self) -> bool:
+        return dr.grad_enabled(self.positions)
 
     def edge_count(self):
         return self.last - self.first
@@ -312,6 +374,12 @@ def scaled(v):
     """`v` scaled by a power of two so that products of its components neither overflow nor vanish, and its length (1 for ``v = 0``)."""
     v = v * power_of_two_scale(largest_component(v))
     return v, safe_length(v)
+
+
+def inverse_length(v):
+    """1 / length of a vector of any size, at most 1e30 (1e300 in float64): products with numbers up to 1e8 stay finite."""
+    scale = power_of_two_scale(largest_component(v))
+    return dr.minimum(scale * (1 / safe_length(v * scale)), 1e30 if dr.epsilon(v) > 1e-10 else 1e300)
 
 
 def safe_length(v):

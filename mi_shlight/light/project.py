@@ -75,8 +75,9 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     limit from both sides, and ``L_00`` is that of either side; on the outline ``L_00`` lies in between. ``quadrature`` gives 0 there.
     Finite input never gives NaN; a coordinate that is infinite or NaN makes all coefficients of its lane NaN.
 
-    Differentiable by Dr.Jit's autodiff. Where the plane through `x` and an edge is nearly an x-y plane, derivatives of ``edge`` are good
-    to 1e-3 in float32 and 1e-7 in float64.
+    Differentiable in forward and reverse mode. Up to order 32 derivatives are analytic and those of ``edge``, whatever the method; see
+    :py:func:`mi_shlight.project_polygon_gradient` for their accuracy. Derivatives with respect to `x`, and of a light that moves as a
+    whole, add up those of the vertices: relative error eps / theta, and 1 in float32 for a light 1e6 sizes away.
 
     Each number of vertices, and each `max_error`, compiles a kernel of its own.
 
@@ -99,6 +100,9 @@ def project_light(light, x, apex, order: int, method: str = "auto", max_error=No
 
     `light`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
     """
+    if light.grad_enabled() or dr.grad_enabled(x):
+        values = project_light(light.detached(), dr.detach(x), apex, order, method, max_error)
+        return [dr.replace_grad(v, s) for v, s in zip(values, boundary_form("auto", order)[0](light, x, apex, order))]
     max_error = default_error(x) if max_error is None else max_error
     if method == "quadrature":
         return project_quadrature(light, x, order, max_error)
@@ -113,8 +117,21 @@ def project_light(light, x, apex, order: int, method: str = "auto", max_error=No
 def light_shader(transfer: list, order: int, method: str = "auto", max_error=None):
     """Function ``shade(light, x, apex)`` that gives ``sum_lm T_lm L_lm`` of one light ([W18] eq. 4).
 
-    What depends on the transfer alone is done here, once for all lights.
+    What depends on the transfer alone is done here, once for all lights. Derivatives by the light's vertices and `x` are those of the edge
+    form (of the recurrence above order 32), whatever the method of the value.
     """
+    value, fixed = _value_shader(transfer, order, method, max_error), dr.detach(transfer)
+
+    def shade(light, x, apex):
+        if not (light.grad_enabled() or dr.grad_enabled(x)):
+            return value(light, x, apex)
+        slope = boundary_form("auto", order)[1](fixed, order)(light, x, apex)
+        return value(light.detached(), dr.detach(x), apex) + dr.replace_grad(type(slope)(0), slope)
+
+    return shade
+
+
+def _value_shader(transfer: list, order: int, method: str, max_error):
     max_error = default_error(transfer[0]) if max_error is None else max_error
     cubature = quadrature_shader(transfer, order, max_error)
     if method == "quadrature":

@@ -30,10 +30,10 @@ from typing import NamedTuple
 import drjit as dr
 import numpy as np
 
-from ..sh.basis import sh_basis
+from ..sh.basis import sh_basis, sh_basis_gradient
 from ..sh.lobes import sh_matrix
-from .polygon import (EdgeFrame, edge_frame, exact_difference, fold, largest_component, power_of_two_scale, safe_length,
-                      triple_product, zeros)
+from .polygon import (EdgeFrame, compensated_cross, edge_frame, exact_difference, fold, inverse_length, largest_component,
+                      power_of_two_scale, safe_length, triple_product, zeros)
 
 NODE_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)
 """Numbers of Gauss nodes per direction to choose from."""
@@ -90,6 +90,8 @@ class _Patch(NamedTuple):
     vectors: tuple
     flux: tuple
     """F of equation (1) at the corners."""
+    area: tuple
+    """``dp/ds x dp/dt`` at the corners."""
 
 
 @functools.lru_cache(maxsize=None)
@@ -124,7 +126,7 @@ def node_limits(order: int, max_error: float) -> tuple:
 
 def demand(light, x, order: int, max_error: float) -> Demand:
     """How many points cubature of `light` from `x` would take."""
-    nodes, light, x = _Nodes(type(x[0]), order, max_error), light.detached(), dr.detach(x)
+    nodes, light, x = node_tables(type(x[0]), order, max_error), light.detached(), dr.detach(x)
 
     def body(corners, total, x):
         points, enough, possible, solid_angle, along, across = total
@@ -148,13 +150,16 @@ def demand(light, x, order: int, max_error: float) -> Demand:
     return Demand(points, enough, possible, abs(solid_angle), along + 2 * dr.sqrt(across))
 
 
-def integrate(light, x, order: int, max_error: float, add, total, active=True):
+def integrate(light, x, order: int, max_error: float, add, total, active=True, slopes: bool = False):
     """Run ``total = add(total, omega, weight)`` over the cubature points of `light`: unit directions and their solid angles.
+
+    If `slopes` it is ``add(total, omega, weight, inverse, area)``: 1 / distance, and the vector area of the light that belongs to the
+    point over the cubed distance; for derivatives of such sums.
 
     Sums of functions that are polynomials of degree `order` on the sphere have a relative error of `max_error`, where a light is not
     too near (see :py:class:`Demand`); lanes not `active` keep their total.
     """
-    nodes = _Nodes(type(x[0]), order, max_error)
+    nodes = node_tables(type(x[0]), order + slopes, max_error)
 
     def over_patch(corners, total, x, view):
         view = _View(*view)
@@ -165,10 +170,11 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
         v00, v10, v11, v01 = patch.vectors
         middle = v00 + v01, v10 + v11
         lengths = tuple(safe_length(v) for v in middle)
-        others = (tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths)     # Dr.Jit's loops see no members of named tuples
+        # Dr.Jit's loops see no members of named tuples
+        others = tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths, view.scale
 
-        def over_s(node, total, patch, centre, middle, lengths):
-            (v, f), centre, middle = patch, _Centre(*centre), EdgeFrame(*middle)
+        def over_s(node, total, patch, centre, middle, lengths, unit):
+            (v, f, g), centre, middle = patch, _Centre(*centre), EdgeFrame(*middle)
             p, q, ratio = _slerp(node[0], middle)
             a, b = lengths[0] * q, lengths[1] * p
             inverse = 1 / (a + b)
@@ -180,17 +186,23 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True):
             scale = weight / (r_start * r_end)
             f_start = dr.fma(f[0], r, f[1] * s) * scale / r_start
             f_end = dr.fma(f[3], r, f[2] * s) * scale / r_end
+            ends = f_start, f_end
+            if slopes:
+                ends += dr.fma(g[0], r, g[1] * s) * (scale / r_start), dr.fma(g[3], r, g[2] * s) * (scale / r_end), 1 / r_start, 1 / r_end
 
-            def over_t(node, total, centre, frame, f_start, f_end):
-                centre, frame = _Centre(*centre), EdgeFrame(*frame)
+            def over_t(node, total, centre, frame, ends, unit):
+                centre, frame, (f_start, f_end, *rest) = _Centre(*centre), EdgeFrame(*frame), ends
                 p, q, ratio = _slerp(node[0], frame)
                 weight = dr.select(single, centre.solid_angle, dr.fma(f_start, p, f_end * q) * ratio * node[1])
-                omega = dr.select(single, centre.omega, dr.fma(frame.omega_i, p, frame.omega_j * q))
-                # near the poles Y_lm feels a length off by eps as l^2 eps / 2
-                omega = omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)
-                return add(total, omega, weight)
+                omega = _renormalised(dr.select(single, centre.omega, dr.fma(frame.omega_i, p, frame.omega_j * q)))
+                if not slopes:
+                    return add(total, omega, weight)
+                g_start, g_end, inverse_start, inverse_end = rest
+                area = dr.select(single, centre.area, dr.fma(g_start, p, g_end * q) * (ratio * node[1]))
+                inverse = dr.select(single, centre.inverse, dr.fma(inverse_start, p, inverse_end * q))
+                return add(total, omega, weight, inverse * unit, area * unit)
 
-            return fold(*nodes.range(choice_t), nodes.read, over_t, total, (tuple(centre), tuple(frame), f_start, f_end))
+            return fold(*nodes.range(choice_t), nodes.read, over_t, total, (tuple(centre), tuple(frame), ends, unit))
 
         return fold(*nodes.range(choice_s), nodes.read, over_s, total, others)
 
@@ -208,6 +220,55 @@ def project_quadrature(light, x, order: int, max_error: float, active=True) -> l
     return integrate(light, x, order, max_error, add, zeros(x, (order + 1) ** 2), active)
 
 
+def project_quadrature_spatial(light, x, order: int, max_error: float, active=True) -> tuple:
+    """``(coeffs, (dx, dy, dz))``: coefficients of `light` and their derivatives by `x`, under the integral.
+
+    With r the vector from `x` to a point of the light and dA its vector area, the derivative of ``Y_lm(r / |r|) r . dA / |r|^3`` by r is
+
+        d omega / |r| grad Y_lm + Y_lm (dA / |r|^3 - 3 omega d omega / |r|) .                                              (4)
+
+    All terms are of the size of the result, where the sum of the derivatives by the vertices is one of large terms.
+    """
+    count = (order + 1) ** 2
+
+    def add(total, omega, weight, inverse, area):
+        basis, gradient = sh_basis_gradient(omega, order)
+        slope, rest = weight * inverse, dr.fma(omega, -3 * weight * inverse, area)
+        terms = [dr.fma(g, slope, rest * y) for g, y in zip(gradient, basis)]
+        return [dr.fma(weight, y, t) for t, y in zip(total, basis)] + [
+            total[(k + 1) * count + i] - term[k] for k in range(3) for i, term in enumerate(terms)]
+
+    total = integrate(light, x, order, max_error, add, zeros(x, 4 * count), active, slopes=True)
+    return total[:count], tuple(total[k * count:(k + 1) * count] for k in (1, 2, 3))
+
+
+def project_quadrature_lines(light, x, apex, order: int, max_error: float) -> list:
+    """Of each edge of a :py:class:`~mi_shlight.light.polygon.VertexList` what its corners do to the coefficients, as
+    :py:func:`mi_shlight.light.edge_frame.project_edge_lines` has it: by nodes along the edge.
+
+    In the fraction u of an edge's angle the share of a corner over its distance is p or q of (2) over that distance, so that times Y_lm it
+    is a trigonometric polynomial as (3).
+    """
+    nodes, count = node_tables(type(x[0]), order, max_error), (order + 1) ** 2
+
+    def term(v_i, v_j, apex):
+        frame = edge_frame(v_i, v_j)
+        chosen = nodes.choose_along(dr.square(2 * frame.sin_half))
+
+        def over_edge(node, total, frame):
+            frame = EdgeFrame(*frame)
+            p, q, _ = _slerp(node[0], frame)
+            basis = sh_basis(_renormalised(dr.fma(frame.omega_i, p, frame.omega_j * q)), order)
+            p, q = (node[1] * frame.arc * share for share in (p, q))
+            return [dr.fma(share, y, t) for t, (share, y) in zip(total, [(p, y) for y in basis] + [(q, y) for y in basis])]
+
+        total = fold(*nodes.range(chosen), nodes.read, over_edge, zeros(x, 2 * count), (tuple(frame),))
+        inverse_i, inverse_j = -inverse_length(v_i), -inverse_length(v_j)
+        return [value * inverse_i for value in total[:count]] + [value * inverse_j for value in total[count:]] + list(frame.normal)
+
+    return light.sum_and_keep(term, x, apex, 0, 2 * count + 3)[1]
+
+
 def quadrature_shader(transfer: list, order: int, max_error: float):
     """Function ``shade(light, x, active)`` that gives ``sum_lm T_lm L_lm``."""
     def add(total, omega, weight):
@@ -219,14 +280,42 @@ def quadrature_shader(transfer: list, order: int, max_error: float):
     return lambda light, x, active=True: integrate(light, x, order, max_error, add, type(x[0])(0), active)
 
 
+def node_tables(number, order: int, max_error: float) -> "_Nodes":
+    """The rules as tables of the type `number`.
+
+    Held once per type, order and error, for `dr.freeze`: a recorded function may take no values from Python lists, so whoever is called in
+    symbolic loops keeps the tables among what it is recorded with. Elsewhere they are made in a kernel while recording.
+    """
+    recording = dr.is_jit_v(number) and dr.flag(dr.JitFlag.FreezingScope) and not dr.flag(dr.JitFlag.SymbolicScope)
+    return _Nodes(number, order, max_error, recording) if recording else _held_tables(number, order, max_error)
+
+
+_gauss_legendre = functools.lru_cache(maxsize=None)(np.polynomial.legendre.leggauss)
+
+
+@functools.lru_cache(maxsize=None)
+def _held_tables(number, order: int, max_error: float) -> "_Nodes":
+    return _Nodes(number, order, max_error, False)
+
+
 class _Nodes:
     """Gauss-Legendre rules on [0, 1] with NODE_COUNTS nodes, as tables that lanes read with their own choice of rule."""
 
-    def __init__(self, number, order: int, max_error: float):
-        rules = [np.polynomial.legendre.leggauss(k) for k in NODE_COUNTS]
+    DRJIT_STRUCT = dict.fromkeys(("_node", "_weight", "_first", "_count"), object)
+
+    def __init__(self, number, order: int, max_error: float, in_kernel: bool):
+        rules = [_gauss_legendre(k) for k in NODE_COUNTS]
         index = dr.uint32_array_t(number)
         jit = dr.is_jit_v(number)
-        table = lambda kind, values: kind(values) if jit else values
+
+        def table(kind, values):
+            if not in_kernel:
+                return kind(values) if jit else values
+            row, entries = dr.arange(index, len(values)), kind(0)
+            for i, value in enumerate(values):
+                entries = dr.select(row == i, value, entries)
+            return entries
+
         self._read = dr.gather if jit else lambda kind, table, i: table[i]
         self._number, self._index = number, index
         self._node = table(number, [(1 + u) / 2 for nodes, _ in rules for u in nodes.tolist()])
@@ -240,6 +329,10 @@ class _Nodes:
         s = self._count_above(view.narrow, [*self._limits, *WIDE_S]) + self._count_above(_mismatch(view), MISMATCH)
         s = dr.select(view.narrow > SLIM, s + self._count_above(view.wide, WIDE_T), s)
         return s, self._count_above(view.wide, self._limits)
+
+    def choose_along(self, squared_chord):
+        """Rule for an edge: one larger, as a corner's share is a factor more, and a single node would not tell the ends apart."""
+        return self._count_above(squared_chord, self._limits) + 1
 
     def _count_above(self, value, limits):
         number = self._index(0)
@@ -266,6 +359,10 @@ class _Centre(NamedTuple):
     omega: object
     """Direction of the centroid of its solid angle."""
     solid_angle: object
+    inverse: object
+    """1 / distance, scaled."""
+    area: object
+    """Vector area over the cubed distance, scaled."""
 
 
 def _view(corners, x) -> _View:
@@ -287,8 +384,14 @@ def _patch(corners, x, view: _View) -> _Patch:
     vectors = [scaled(exact_difference(p, x)) for p in corners]
     sides = [scaled(exact_difference(corners[(k + 1) % 4], corners[k])) for k in range(4)]
     flux = [triple_product(vectors[k], sides[k - 1], sides[k]) for k in range(4)]
+    area = [_exact_cross(sides[k - 1], sides[k]) for k in range(4)]
     turn = lambda a: (a[0], dr.select(view.swapped, a[3], a[1]), a[2], dr.select(view.swapped, a[1], a[3]))
-    return _Patch(turn(view.vectors), turn(flux))
+    return _Patch(turn(view.vectors), turn(flux), turn(area))
+
+
+def _exact_cross(a: tuple, b: tuple):
+    """Cross product of vectors given as (value, error): full relative accuracy of slim areas, too."""
+    return compensated_cross(a[0], b[0]) + (dr.cross(a[1], b[0]) + dr.cross(a[0], b[1]))
 
 
 def _mismatch(view: _View):
@@ -327,16 +430,25 @@ def _centre(patch: _Patch, small) -> tuple:
     total, size = sum(density), sum(map(abs, density))
     scale = power_of_two_scale(size)                  # the square of a tiny total, in the derivatives, would vanish
     safe = 9 * dr.select(total != 0, total * scale, 1)
-    mean = 0
+    mean, inverse = 0, 0
     for k in range(4):                                # integral of a product of bilinear functions
         share = 4 * density[k] + 2 * (density[k - 1] + density[(k + 1) % 4]) + density[k - 2]
-        mean = mean + patch.vectors[k] * (share * scale / (safe * r[k]))
-    return _Centre(mean * (1 / safe_length(mean)), total * 0.25), small & (abs(total) == size)
+        part = share * scale / (safe * r[k])
+        mean, inverse = mean + patch.vectors[k] * part, inverse + part
+    area = sum(patch.area[k] * (1 / (r[k - 1] * r[k] * r[(k + 1) % 4])) for k in range(4)) * 0.25
+    centre = _Centre(mean * (1 / safe_length(mean)), total * 0.25, inverse, area)
+    return centre, small & (abs(total) == size) & (total != 0)
 
 
 def _slerp(u, frame):
     """(p, q, ratio) of equations (2) and (3): weights of the arc's ends at the fraction u of its angle, and ``Phi / sin Phi``."""
     curved = frame.arc > 0
-    sin = dr.select(curved, frame.sin, 1)
+    sin = dr.select(frame.cos < 0, dr.maximum(frame.sin, 1e-6), frame.sin)      # finite, where half circles have no sense anyway
+    sin = dr.select(curved, sin, 1)
     p, q = dr.sin((1 - u) * frame.arc) / sin, dr.sin(u * frame.arc) / sin
     return dr.select(curved, p, 1 - u), dr.select(curved, q, u), dr.select(curved, frame.arc / sin, 1)
+
+
+def _renormalised(omega):
+    """A unit vector but for rounding, made one: near the poles Y_lm feels a length off by eps as l^2 eps / 2."""
+    return omega * dr.fma(dr.squared_norm(omega), -0.5, 1.5)

@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import functools
 import math
-import numbers
 
 import drjit as dr
 
-from ..errors import check_number, message
+from ..errors import check_number
 from ..sh.basis import check_order
 from ..sh.lobes import MAX_ORDER
-from .arguments import all_finite, polygon_arguments
+from .arguments import all_finite, float_list, polygon_arguments
 from .polygon import direction, edge_frame, fan_solid_angle, legendre_p
 from .project import default_error, prefers_cubature
 from .quadrature import integrate
@@ -72,7 +71,8 @@ def shade_zonal(vertices, x, axis, zonal):
     """
     name = "shade_zonal"
     light, x, apex, axis = polygon_arguments(name, vertices, x, axis=axis)
-    weights = times_pole_value(_coefficients(name, zonal, type(x[0])))
+    hint = "It has one entry per degree, from 0 to the order, as zonal_lambert(8)."
+    weights = times_pole_value(float_list(name, "zonal", zonal, type(x[0]), 1, MAX_ORDER + 1, hint))
     value = zonal_shader(direction(axis), weights)(light, x, apex)
     return dr.select(all_finite(*light.vertices, x, axis), value, dr.nan)
 
@@ -148,8 +148,8 @@ def zonal_shader(axis, weights: list):
     """Function ``shade(light, x, apex, active)`` that gives ``sum_l weights_l S_l`` about the unit vector `axis`; equation (2)."""
     table = edge_series(len(weights) - 1)
 
-    def term(v_i, v_j, apex):
-        frame = edge_frame(v_i, v_j)
+    def term(v_i, v_j, point_data):
+        (apex, axis), frame = point_data, edge_frame(v_i, v_j)
         p, q, c = (dr.dot(axis, v) for v in (frame.middle, dr.cross(frame.normal, frame.middle), frame.normal))
         sines = [sine * (1 / m) for m, (_, sine) in enumerate(_powers(frame.cos_half, frame.sin_half, len(table)), 1)]
         waves = [real for real, _ in _powers(p, q, len(table))]
@@ -161,26 +161,33 @@ def zonal_shader(axis, weights: list):
             total = dr.fma(series * wave, length, total)
         return [dr.fma(total, c, weights[0] * fan_solid_angle(apex, frame))]
 
-    return lambda light, x, apex, active=True: light.sum(term, x, apex, 1, active)[0]
+    # loops see derivatives of their state alone, so the axis joins it, beside the apex
+    return lambda light, x, apex, active=True: light.sum(term, x, (apex, axis), 1, active)[0]
 
 
 def zonal_light_shader(axis, weights: list):
     """:py:func:`zonal_shader` with cubature where the closed form would lose digits, by the rule of method ``auto``.
 
-    Carries no derivatives by `axis` and `weights`.
+    Derivatives are those of the closed form; none by `weights`.
     """
-    axis, weights, order = dr.detach(axis), [dr.detach(w) for w in weights], len(weights) - 1
-    over_edges, max_error = zonal_shader(axis, weights), default_error(axis)
+    weights, order = [dr.detach(w) for w in weights], len(weights) - 1
+    fixed, max_error = dr.detach(axis), default_error(axis)
+    over_edges = zonal_shader(fixed, weights)
 
     def add(total, omega, solid_angle):
         value = 0
-        for w, p in zip(weights, legendre_p(dr.dot(axis, omega), order)):
+        for w, p in zip(weights, legendre_p(dr.dot(fixed, omega), order)):
             value = dr.fma(w, p, value)
         return dr.fma(solid_angle, value, total)
 
-    def shade(light, x, apex):
+    def value(light, x, apex):
         cubature = prefers_cubature(light, x, order, max_error)
         return over_edges(light, x, apex, cubature ^ True) + integrate(light, x, order, max_error, add, type(x[0])(0), cubature)
+
+    def shade(light, x, apex):
+        if not (light.grad_enabled() or dr.grad_enabled(x) or dr.grad_enabled(axis)):
+            return value(light, x, apex)
+        return dr.replace_grad(value(light.detached(), dr.detach(x), apex), zonal_shader(axis, weights)(light, x, apex))
 
     return shade
 
@@ -214,21 +221,3 @@ def _powers(re, im, count: int) -> list:
         a, b = out[-2]
         out.append((dr.fma(a, square[0], -(b * square[1])), dr.fma(a, square[1], b * square[0])))
     return out[:max(count - 1, 0)]
-
-
-def _coefficients(function: str, zonal, number) -> list:
-    """The entries of `zonal`: numbers as Python floats, Dr.Jit floats as `number`."""
-    rule = f"be a list of 1 to {MAX_ORDER + 1} floats"
-    if not isinstance(zonal, (list, tuple)):
-        raise TypeError(message(function, "zonal", rule, zonal, "Example: zonal_lambert(8)."))
-    if not 1 <= len(zonal) <= MAX_ORDER + 1:
-        raise ValueError(message(function, "zonal", rule, zonal, "It has one entry per degree, from 0 to the order."))
-    out = []
-    for value in zonal:
-        if isinstance(value, numbers.Real) and not isinstance(value, bool):
-            out.append(float(value))
-        elif number is not float and dr.is_array_v(value) and dr.is_float_v(value) and dr.depth_v(value) == 1:
-            out.append(number(value))
-        else:
-            raise TypeError(message(function, "zonal", rule + ", Dr.Jit floats only together with Dr.Jit vectors", value))
-    return out

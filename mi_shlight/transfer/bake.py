@@ -54,7 +54,7 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     Raises
     ------
     TypeError, ValueError
-        If an argument is invalid, or the scene has no polygonal light, a light that is not planar, or more than 16 million
+        If an argument is invalid, or the scene has no polygonal light, a light that is far from planar, or more than 16 million
         points to bake.
     """
     name = "bake_transfer"

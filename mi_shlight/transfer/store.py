@@ -179,6 +179,8 @@ def load_transfer(path) -> Transfer:
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
+    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs"), object)
+
     def __init__(self, transfer: Transfer, scene):
         blocks = {block.content: block for block in transfer.meshes}
         shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in receivers(scene, keep_quiet) if r.baked]

@@ -13,6 +13,7 @@ whose lights are all below its horizon gets a zero transfer.
 """
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 
@@ -37,6 +38,8 @@ def light_groups(count: int) -> list:
 
 class Occluders:
     """What can come between a point and a light: every shape of the scene but the lights of the group in question."""
+
+    DRJIT_STRUCT = dict.fromkeys(("_light",), object)
 
     def __init__(self, scene, lights: list):
         self.scene = scene
@@ -148,6 +151,8 @@ def inside_a_body(scene, p, n, samples: int = 32):
 class BakeLights:
     """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
 
+    DRJIT_STRUCT = dict.fromkeys(("edges", "first_edge", "normal"), object)
+
     def __init__(self, lights: list, margin: float):
         """`lights`: :py:class:`~mi_shlight.scene.PolygonLight` objects."""
         outlines = [light.outline for light in lights]
@@ -157,6 +162,12 @@ class BakeLights:
         self.normal = flat([light.normal for light in lights])
         self.margin = margin
         self.crowded = len(lights) > MAX_GROUPS
+
+    def at(self, edges, normal) -> "BakeLights":
+        """The same lights elsewhere: flat buffers of both ends of each edge, and of the normals."""
+        lights = copy.copy(self)
+        lights.edges, lights.normal = edges, normal
+        return lights
 
     def nearest(self, group, x, n, d) -> tuple:
         """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such

@@ -80,6 +80,23 @@ def test_shapes_of_lights(make):
     assert mean_error(render(what, 16, order=8, **UNSHADOWED), direct(what)) < 0.01
 
 
+def bent_square(y, lift):
+    """A square that faces down, with one corner lifted."""
+    return [[0, y, 0], [1, y, 0], [1, y + lift, 1], [0, y, 1]]
+
+
+def test_slightly_bent_light():
+    """Corners may leave the plane a little: the outline says all where each face is seen from the front. 7 % of the extent change the
+    picture by 5 % and its error not at all: 0.7 % measured."""
+    what = scene(camera((0.5, 2.4, 3), (0.5, 0, 0.4)), floor=floor(x=0.5), light=fan(bent_square(1.5, 0.2), emitter=emitter()))
+    for parameters in (UNSHADOWED, {"max_edge": 0.5}):
+        with pytest.warns(UnsupportedSceneWarning, match="light 'light': vertices lie more than 0.001 of its extent off a plane"):
+            image = render(what, 16, order=8, **parameters)
+        assert mean_error(image, direct(what)) < 0.01
+    with pytest.raises(ValueError, match="'light'.*off a plane.*'strict'"):
+        prepared(what, strict=True, **UNSHADOWED)
+
+
 @pytest.mark.parametrize("method", ["auto", "edge", "recurrence"])
 def test_unshadowed_is_the_dot_product(method):
     """Order 8: reflectance times the clamped cosine's coefficients times those of the light, which are put out beside the picture."""
@@ -354,12 +371,12 @@ def test_plastic_shows_its_diffuse_part():
 @pytest.mark.parametrize("parts, text", [
     ({}, "at least one polygonal area light, got none.*shlight"),
     ({"light": {"type": "cube", "emitter": {"type": "area"}}}, "must be a planar polygon.*Split"),
-    ({"light": "bent"}, "'light' must be a planar polygon.*vertices up to 0.0978 of its extent off the plane.*Split"),
+    ({"light": "bent"}, "'light' must be a planar polygon.*within 0.1 of its extent.*vertices up to 0.157 of its extent off.*Split"),
     ({"light": "needle"}, "'light' must be a planar polygon.*got a closed one or one without area.*Split"),
 ], ids=["no light", "cube", "bent", "no area"])
 def test_scenes_that_cannot_be_lit(parts, text):
     if parts.get("light") == "bent":
-        parts = {"light": fan([[0, 1, 0], [1, 1, 0], [1, 1.3, 1], [0, 1, 1]], emitter=emitter())}
+        parts = {"light": fan(bent_square(1, 0.5), emitter=emitter())}
     if parts.get("light") == "needle":
         parts = {"light": fan([[0, 1, 0], [1, 1, 0], [2, 1, 0]], emitter=emitter())}
     with pytest.raises(Exception, match=text):
