@@ -145,7 +145,15 @@ def floats(values) -> list:
 
 
 # ------------------------------------------------------------------------------------------------ the optimisation
-def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1, spp=1, seed=0, resample=False):
+def picture_loss(scene, parameters, integrator, target, spp, seed):
+    """Loss of a render against the target; the gradient of what `parameters` hold is added to where they came from."""
+    image, unit = mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed), dr.mean(target, axis=None)
+    loss = dr.mean(dr.sqrt(dr.square((image - target) / unit) + RESIDUAL**2) - RESIDUAL, axis=None)
+    dr.backward(loss)
+    return dr.detach(loss)
+
+
+def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1, spp=1, seed=0, resample=False, freeze=True):
     """Fit the parameters of a light to a picture by Adam.
 
     Parameters
@@ -168,6 +176,9 @@ def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1,
         Seed of the samples.
     resample : bool
         Draw new samples in every step. Better for an integrator that samples the light, whose noise averages out over the steps.
+    freeze : bool
+        Record render and derivative once and replay them, which saves tracing them in Python: the same results in about half the
+        time. Mitsuba's projective integrators do not support it.
 
     Yields
     ------
@@ -180,9 +191,10 @@ def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1,
     tells about the size of a light; `mi.render` takes image and derivative with different samples, so they do not bias it either. That
     needs many rays per camera hit (128 in the room's file), since with few the noise of the shadows depends on the light's size.
     """
-    parameters = mi.traverse(scene)
+    parameters, integrator = mi.traverse(scene), integrator or scene.integrator()
+    descend = dr.freeze(picture_loss) if freeze else picture_loss
+    prepare = getattr(integrator, "prepare_scene", lambda scene: None)     # what shprt cannot do inside of a frozen function
     adam = mi.ad.Adam(lr=rate, beta_2=0.95, params=light.start)      # forgets the large gradients of the first steps
-    unit = dr.mean(target, axis=None)
     light.apply(light.start, parameters)
     first = mi.render(scene, integrator=integrator, spp=spp, seed=seed)
     light.brighten(adam, np.array(target).mean(axis=(0, 1)) / np.array(first).mean(axis=(0, 1)))
@@ -190,10 +202,9 @@ def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1,
         fall = np.cos(0.5 * np.pi * i / iterations)
         adam.set_learning_rate({name: rate * fall * (i >= HELD.get(name, 0) * iterations) for name in light.start})
         light.apply(adam, parameters)
-        image = mi.render(scene, parameters, integrator=integrator, spp=spp, seed=seed + i * resample)
-        loss = dr.mean(dr.sqrt(dr.square((image - target) / unit) + RESIDUAL**2) - RESIDUAL, axis=None)
+        prepare(scene)
+        loss = descend(scene, parameters, integrator, target, spp, dr.opaque(mi.UInt32, seed + i * resample))
         found = light.outline(adam)
-        dr.backward(loss)
         adam.step()
         light.constrain(adam)
         yield loss.array[0], *found

@@ -110,7 +110,7 @@ def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
             frame = edge_frame(v_i, v_j)
             inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
             line = lines(frame, [inverse_i + inverse_j, inverse_i - inverse_j])
-            return values(v_i, v_j, apex) + [n * value for n in frame.normal for value in line]
+            return values(v_i, v_j, apex) + [(n, value) for n in frame.normal for value in line]
 
         total = light.sum(term, x, apex, 4 * width, active)
         coeffs += total[:width]
@@ -147,8 +147,8 @@ def edge_form_shader(transfer: list, order: int):
     for bands in _bodies(order):
         gradients = _shading(dr.detach(transfer), order, bands, value=False)
 
-        def tangent(v_i, v_j, by_i, by_j, gradients=gradients):
-            g = gradients(v_i, v_j, None)
+        def tangent(v_i, v_j, apex, by_i, by_j, gradients=gradients):
+            g = gradients(v_i, v_j, apex)
             return [dr.dot(type(v_i)(*g[:3]), by_i) + dr.dot(type(v_i)(*g[3:]), by_j)]
 
         terms.append(_differentiable(_shading(transfer, order, bands, gradients=False), tangent))
@@ -169,13 +169,16 @@ def shade_edge_lines(light, x, apex, transfer: list, order: int, value: bool = T
 
 
 def _differentiable(term, tangent):
-    """`term` with the analytic derivatives of ``tangent(v_i, v_j, dv_i, dv_j)``, which is linear in the last two, for Dr.Jit's autodiff."""
+    """`term` with the analytic derivatives of ``tangent(v_i, v_j, apex, dv_i, dv_j)``, linear in the last two, for Dr.Jit's autodiff.
+
+    Where the apex is 0 there is no solid angle and no derivative of one.
+    """
     def both(v_i, v_j, apex):
         if not dr.grad_enabled(v_i, v_j):
             return term(v_i, v_j, apex)
-        start, end = dr.detach(v_i), dr.detach(v_j)
-        slopes = tangent(start, end, v_i - start, v_j - end)
-        return [value + dr.replace_grad(type(value)(0), slope) for value, slope in zip(term(start, end, dr.detach(apex)), slopes)]
+        start, end, apex = dr.detach(v_i), dr.detach(v_j), dr.detach(apex)
+        slopes = tangent(start, end, apex, v_i - start, v_j - end)
+        return [value + dr.replace_grad(type(value)(0), slope) for value, slope in zip(term(start, end, apex), slopes)]
 
     return both
 
@@ -226,10 +229,13 @@ def _tangent(order: int, bands: range):
     """Derivatives of :py:func:`_values` along a displacement of the edge's ends."""
     lines = _lines(order, bands)
 
-    def tangent(v_i, v_j, by_i, by_j):
+    def tangent(v_i, v_j, apex, by_i, by_j):
         frame = edge_frame(v_i, v_j)
         a, b = dr.dot(frame.normal, by_i) * -inverse_length(v_i), dr.dot(frame.normal, by_j) * -inverse_length(v_j)
-        return lines(frame, [a + b, a - b])
+        slopes = lines(frame, [a + b, a - b])
+        if bands[0] == 0:
+            slopes[0] = dr.select(dr.squared_norm(apex) > 0, slopes[0], 0)
+        return slopes
 
     return tangent
 
@@ -257,6 +263,8 @@ def _shading(transfer: list, order: int, bands: range, value=True, gradients=Tru
                     total = dr.fma(_wave(cosine[m], phi[0][m], sine[m], phi[1][m]), f, total)
             out.append(total)
         if gradients:
+            if bands[0] == 0:
+                values[0] = dr.select(dr.squared_norm(apex) > 0, values[0], 0)
             cosine, sine = _waves(values, table.level, _even(bands), order)
             along, across = 0, 0
             for m, (a, b) in enumerate(zip(*_line_integrals(frame, sines, bands[-1]))):

@@ -39,8 +39,9 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
 
     Notes
     -----
-    Nothing cancels: relative L2 error over all vertices and coefficients of the 62 reference polygons, order 14, at any distance, angle and
-    width of the light: GRADIENT_ERRORS.
+    Nothing cancels: relative L2 error over all vertices and coefficients of each of the 62 reference polygons, order 14, at any distance,
+    angle and width of the light, at most 2e-6 in float32 and 4e-15 in float64 by ``edge`` and ``auto``. ``recurrence``: 8e-6 and 2e-14, for
+    lights at 10 to 1e4 of their sizes up to 8e-5 and 3e-11. ``quadrature``: 2e-6 and 4e-13.
 
     Limits: derivatives grow without bound as `x` comes near the border, or the light near `x`; beyond 1e30 (1e300 in float64) per unit of
     length they stay finite, but too small. A vertex at `x`, an edge through `x`, and coincident vertices get 0 from the edges concerned.
@@ -89,9 +90,10 @@ def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "aut
 
     Notes
     -----
-    Relative L2 error over the 62 reference polygons, order 14: SPATIAL_ERRORS. The closed forms ``edge`` and ``recurrence``
-    sum terms of size theta to a result of size theta^2 for a light of angular size theta, as they do for the coefficients; ``quadrature``
-    integrates the derivative over the light's area.
+    Relative L2 error of ``auto`` for each of the 62 reference polygons, order 14: at most 9e-6 in float32 and 2e-10 in float64. The closed
+    forms ``edge`` and ``recurrence`` sum terms of size theta to a result of size theta^2 for a light of angular size theta, as they do for
+    the coefficients: 1e-6 in float32 for lights of moderate size, 1e-4 at 100 sizes, useless at 1e5. ``quadrature`` integrates the
+    derivative over the light's area and keeps its digits there, but is useless close to the light.
 
     Limits as for :py:func:`project_polygon_gradient`. Carries no derivatives itself.
     """

@@ -186,7 +186,7 @@ class VertexList:
     def sum(self, term, x, apex, width: int, active=True) -> list:
         """Sum ``term(v_i, v_j, apex) -> list of `width` floats`` over the edges, with ``v = vertex - x``; 0 where not `active`.
 
-        One symbolic loop, so that kernels do not grow with the vertex count.
+        A pair in the list stands for its product. One symbolic loop, so that kernels do not grow with the vertex count.
         """
         add = _adding(term)
         body = lambda _, corners, total, x, apex: add(corners, total, x, apex)
@@ -345,7 +345,12 @@ def fold(first, last, read, body, total, others: tuple = (), active=True):
 
 
 def _adding(term):
-    return lambda corners, total, x, apex: [t + value for t, value in zip(total, term(corners[0] - x, corners[1] - x, apex))]
+    """Body of :py:func:`fold` that adds the values of a term."""
+    def add(corners, total, x, apex):
+        values = term(corners[0] - x, corners[1] - x, apex)
+        return [dr.fma(*value, t) if isinstance(value, tuple) else t + value for t, value in zip(total, values)]
+
+    return add
 
 
 def zeros(x, width: int) -> list:

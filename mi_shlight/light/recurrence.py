@@ -215,7 +215,7 @@ def project_recurrence_lines(light, x, apex, order: int) -> tuple:
         def term(v_i, v_j, apex):
             frame = edge_frame(v_i, v_j)
             shares = edge_shares(frame)
-            lines = _over_lobes(order, type(v_i[0]), 2, lambda w: share_integrals(arc_series(frame, order, w), shares, frame))
+            lines = _over_lobes(order, zeros(v_i, 2), type(v_i[0]), lambda w: share_integrals(arc_series(frame, order, w), shares, frame))
             return [*ends(v_i, v_j, lines[:count], lines[count:]), *frame.normal]
 
         return project_recurrence(light, x, apex, order), light.sum_and_keep(term, x, apex, 0, 2 * count + 3)[1]
@@ -336,7 +336,7 @@ def _project_lobe_loop(light, x, apex, order: int, active) -> list:
         term = lambda v_i, v_j, apex: edge_integrals(edge_frame(v_i, v_j), order, [lobe])[0]
         return [zonal_integrals(total, light.sum(term, x, apex, order, active), order)]
 
-    return _over_lobes(order, type(x[0]), 1, zonal, x, apex, total)
+    return _over_lobes(order, [type(total)(0)], type(x[0]), zonal, x, apex, total)
 
 
 def _spatial_lobe_loop(light, x, apex, order: int, active) -> list:
@@ -353,14 +353,14 @@ def _spatial_lobe_loop(light, x, apex, order: int, active) -> list:
         sums = light.sum(term, x, apex, order + 3 * (order + 1), active)
         return [zonal_integrals(total, sums[:order], order)] + [sums[order + k * (order + 1):][:order + 1] for k in range(3)]
 
-    return _over_lobes(order, type(x[0]), 4, zonal, x, apex, total)
+    return _over_lobes(order, zeros(x, 4), type(x[0]), zonal, x, apex, total)
 
 
-def _over_lobes(order: int, number, width: int, zonal, *others) -> list:
+def _over_lobes(order: int, start: list, number, zonal, *others) -> list:
     """Integrals of ``Y_lm`` from those of ``P_l`` by a symbolic loop over the lobes.
 
-    ``zonal(w, *others)`` gives `width` lists over l; the result is the harmonics of the first, then of the second, ..; `others`: what may
-    carry derivatives.
+    ``zonal(w, *others)`` gives a list over l for each of the zeros in `start`, which are of its type; the result is the harmonics of the
+    first, then of the second, ..; `others`: what may carry derivatives.
     """
     table, index = lobes(order), dr.uint32_array_t(number)
     count = (order + 1) ** 2
@@ -375,5 +375,5 @@ def _over_lobes(order: int, number, width: int, zonal, *others) -> list:
         coeffs = [dr.fma(row[i % count], values[i // count][math.isqrt(i % count)], c) for i, c in enumerate(coeffs)]
         return d + 1, coeffs, *others
 
-    coeffs = [number(0) for _ in range(width * count)]
+    coeffs = [type(zero)(0) for zero in start for _ in range(count)]
     return dr.while_loop((index(0), coeffs, *others), lambda d, *_: d < len(padded), body, mode="symbolic", max_iterations=-1)[1]

@@ -90,9 +90,8 @@ def shade_polygon_gradient(vertices, x, transfer, order: int, method: str = "aut
     Notes
     -----
     Derivatives are in closed form and cancel nowhere: relative L2 error over all vertices of the 62 reference polygons, order 14, 7e-6 in
-    float32 and 2e-14 in float64, at any distance, angle and width of the light. Where the border passes through `x` they grow without
-    bound. A vertex at `x`, an edge through `x`, and coincident vertices have the derivative 0 along the edges concerned. Carries no
-    derivatives itself.
+    float32 and 2e-14 in float64, at any distance, angle and width of the light. Limits: those of
+    :py:func:`mi_shlight.project_polygon_gradient`. Carries no derivatives itself.
     """
     name = "shade_polygon_gradient"
     light, x, apex, transfer, order = _arguments(name, vertices, x, transfer, order, method)

@@ -74,8 +74,8 @@ def reference_gradients(precision, method, function, order):
         for corners in {len(case.vertices) for case in CASES}:
             cases = [case for case in CASES if len(case.vertices) == corners]
             stacked = np.array([case.vertices for case in cases])
-            values, gradients = function([wide(precision, stacked[:, i]) for i in range(corners)], precision.vector((0, 0, 0)), order, method)
-            values, gradients = numbers(values), numbers(gradients)
+            vertices = [wide(precision, stacked[:, i]) for i in range(corners)]
+            values, gradients = map(numbers, function(vertices, precision.vector((0, 0, 0)), order, method))
             SEEN[key].update((case, (values[..., k], gradients[..., k])) for k, case in enumerate(cases))
     return SEEN[key]
 

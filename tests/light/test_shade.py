@@ -127,19 +127,18 @@ def test_finite_differences(method, distance):
     assert dr.grad(t)[0] == pytest.approx((4 * steps[0] - steps[1]) / 3, rel=1e-8 + 3e-14 * distance ** 2)
 
 
-def test_one_kernel_takes_all_derivatives():
+@pytest.mark.parametrize("precision", ["float32"], indirect=True)
+def test_one_kernel_takes_all_derivatives(precision):
     """Sums over the points of twelve coordinates come from one evaluation."""
-    vertices, x, transfer = arrays(type("P", (), {"Float": ad.Float, "Array3": ad.Array3f, "vector": staticmethod(lambda v: ad.Array3f(*map(float, v)))}))
-    dr.enable_grad(vertices)
-    dr.make_opaque(x, transfer)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-        dr.backward(shade_polygon(vertices, x, transfer, ORDER, "edge"))
-        dr.eval([dr.grad(v) for v in vertices])
-        dr.kernel_history_clear()
-        vertices, *_ = arrays(type("P", (), {"Float": ad.Float, "Array3": ad.Array3f, "vector": staticmethod(lambda v: ad.Array3f(*map(float, v)))}))
+    def derivatives():
+        vertices, x, transfer = arrays(precision)
         dr.enable_grad(vertices)
+        dr.make_opaque(x, transfer)
         dr.backward(shade_polygon(vertices, x, transfer, ORDER, "edge"))
         dr.eval([dr.grad(v) for v in vertices])
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        derivatives()
         large = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT and k["operation_count"] > 300]
     assert len(large) == 1
 
