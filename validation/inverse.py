@@ -3,7 +3,8 @@
     python -m validation.inverse [--starts N] [--iterations N] [--threads N]
 
 runs ``scenes/inverse_rendering.py`` for the rectangle and the pentagon from `starts` random starts, then the same optimisation by
-``direct_projective`` (``guiding`` none), which takes as many steps as fit into the time `shprt` took; steps are timed in the same run. It
+``direct_projective`` (``guiding`` none), which takes as many steps as fit into the time `shprt` took; steps are timed in the same run.
+Steps of `shprt` are replayed by `dr.freeze`; Mitsuba refuses that for its projective integrators, whose steps are traced anew. It
 writes ``validation/results/inverse.json``, ``inverse_convergence.png`` and, for the start that ended as the median,
 ``inverse_rectangle.png`` and ``inverse_pentagon.png``.
 
@@ -66,8 +67,9 @@ def follow(example, problem, start, method, iterations) -> dict:
     before = np.array(mi.render(scene, spp=64))
     track = {"loss": [], "seconds": [], **{figure: [] for figure in FIGURES}}
     begin = time.perf_counter()
+    projective = method == "direct_projective"
     for loss, *found in example.optimise(scene, start, target, integrators()[method], iterations=iterations, spp=SPP[method],
-                                             resample=method == "direct_projective"):
+                                         resample=projective, freeze=not projective):
         track["seconds"].append(time.perf_counter() - begin)
         track["loss"].append(float(loss))
         for figure, value in example.light_errors(found, true_outline).items():

@@ -40,8 +40,8 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     Notes
     -----
     Nothing cancels: relative L2 error over all vertices and coefficients of each of the 62 reference polygons, order 14, at any distance,
-    angle and width of the light, at most 2e-6 in float32 and 4e-15 in float64 by ``edge`` and ``auto``. ``recurrence``: 8e-6 and 2e-14, for
-    lights at 10 to 1e4 of their sizes up to 8e-5 and 3e-11. ``quadrature``: 2e-6 and 4e-13.
+    angle and width of the light, at most 2e-6 in float32 and 5e-15 in float64 by ``edge``, ``auto`` and ``quadrature``. ``recurrence``:
+    8e-6 and 2e-14, for lights at 10 to 1e4 of their sizes up to 2e-5 and 3e-11.
 
     Limits: derivatives grow without bound as `x` comes near the border, or the light near `x`; beyond 1e30 (1e300 in float64) per unit of
     length they stay finite, but too small. A vertex at `x`, an edge through `x`, and coincident vertices get 0 from the edges concerned.

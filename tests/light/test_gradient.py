@@ -24,14 +24,14 @@ BY_VERTEX = {
     "auto": {"": (5e-6, 2e-14)},
     "edge": {"": (5e-6, 2e-14)},
     "quadrature": {"": (1e-5, 1e-11)},
-    "recurrence": dict.fromkeys(GENERIC, (1e-5, 1e-11)),
+    "recurrence": dict.fromkeys(GENERIC, (1e-5, 1e-12)),
 }
 # The stored derivatives are float64: for the farthest lights their sum over the vertices keeps no more than this.
 BY_POINT = {
     "auto": {"distance 1e+06": (2e-5, 3e-8), "distance": (2e-5, 1e-9), "sliver": (2e-5, 1e-9), "": (2e-5, 1e-12)},
     "edge": dict.fromkeys((*GENERIC, "near", "huge"), (5e-6, 1e-13)) | {"grazing": (2e-5, 1e-13)},
     "quadrature": dict.fromkeys((*GENERIC, "grazing", "sliver"), (2e-5, 1e-9)) | {"distance 1e+06": (2e-5, 3e-8), "distance": (2e-5, 1e-9)},
-    "recurrence": dict.fromkeys(GENERIC, (1e-5, 1e-11)),
+    "recurrence": dict.fromkeys(GENERIC, (1e-5, 1e-12)),
 }
 
 

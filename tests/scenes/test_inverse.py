@@ -102,6 +102,26 @@ def test_optimisation_approaches_the_light(example, problems, name, seed):
     assert not any(dr.grad_enabled(parameters[k]) for k in ("light.vertex_positions", "light.to_world") if k in parameters)
 
 
+@pytest.mark.parametrize("name", ["rectangle", "pentagon"])
+def test_replayed_steps_are_those_traced_anew(example, problems, name, monkeypatch):
+    """`freeze` changes nothing but time, and most steps are replays: light, learning rate and samples change without a new recording."""
+    scene, truth, target = problems[name]
+    start = example.random_start(truth, scene, np.random.default_rng(2))
+    plugin = mi.load_dict({"type": "shprt", "order": 2, "method": "edge", "transfer_domain": "pixel", "transfer_samples": 8})
+    recorded = []
+    monkeypatch.setattr(dr, "freeze", lambda function, freeze=dr.freeze: recorded.append(freeze(function)) or recorded[-1])
+
+    def run(freeze):
+        return list(example.optimise(scene, start, target, plugin, iterations=6, resample=True, freeze=freeze))
+
+    replayed, traced = run(True), run(False)
+    assert len(recorded) == 1 and recorded[0].n_recordings <= 3
+    assert len({loss for loss, *_ in traced}) == len(traced)
+    for one, other in zip(replayed, traced, strict=True):
+        for value, expected in zip(one, other, strict=True):
+            np.testing.assert_allclose(value, expected, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("arguments, complaint", [
     (["triangle"], "invalid choice: 'triangle'"),
     (["--iterations", "0"], "--iterations: must be a whole number from 1 to 100000, got '0'"),
