@@ -75,13 +75,14 @@ Differentiable through ``mi.render``, in forward and reverse mode and without no
 
 - radiance and reflectance, spectra and textures (of a light by the texture's mean);
 - ``vertex_positions`` of lights and the ``to_world`` of rectangles; soft shadows follow the light, to the band limit of the transfer;
-- the points seen: vertices and ``to_world`` of receivers and of the sensor; if ``unshadowed`` also the shading normals.
+- the points seen: vertices and ``to_world`` of receivers and of the sensor; if ``unshadowed`` also the shading normals. (In forward mode
+  Mitsuba loses the ``to_world`` of spheres, with its own integrators, too.)
 
-They agree with differences between its own pictures to 3e-5. Those by lights and points are the ones of ``edge`` (up to order 32) for
-every ``method``. The order limits them more than the picture: they look at visibility along the light's outline, where it jumps. Against
-exact derivatives, root mean square over the picture, order 8: 0.2 to 2 % without an occluder, 13 to 45 % behind one (10 to 27 % at order
-14; validation/gradient_references.py). Optimisation gets along with that, as sign and place are right. No ``light_margin`` is needed for
-the derivative; choose it by how far a light moves between two bakes. Left out is:
+In the tests they agree with differences between its own pictures to 3e-5. Those by lights and points are the ones of ``edge`` (up to order
+32) for every ``method``. The order limits them more than the picture: they look at visibility along the light's outline, where it jumps.
+Against exact derivatives, root mean square over the picture, order 8: 0.2 to 2 % without an occluder, 13 to 45 % behind one (10 to 27 %
+at order 14; validation/gradient_references.py). Optimisation gets along with that, as sign and place are right. No ``light_margin`` is
+needed for the derivative; choose it by how far a light moves between two bakes. Left out is:
 
 - The change of shadowed transfer, which is a constant of each pixel: occluders have no derivative, and a receiver or sensor that moves
   takes along the visibility and the cosine that each pixel has. A light beyond ``light_margin`` is baked anew before the next picture,

@@ -253,7 +253,7 @@ INTEGRATOR_BY_PIXEL = """\
         <integer name="order" value="$order"/>
         <string name="method" value="edge"/>
         <string name="transfer_domain" value="pixel"/>
-        <integer name="transfer_samples" value="128"/>
+        <integer name="transfer_samples" value="32"/>
     </integrator>"""
 
 
@@ -437,7 +437,7 @@ def inverse_room() -> str:
         "Purpose: recover the light from the picture (inverse_rendering.py): blockers at several heights, so that penumbras of "
         "several widths fall on floor and walls, and a light out of view with room to move. Visibility is traced anew at "
         "every pixel, as the light moves. Picture: a column, a floating slab and a box in the corner of a room, lit from the left.",
-        xml_defaults(1, 64, 64), INTEGRATOR_BY_PIXEL,
+        xml_defaults(4, 64, 64), INTEGRATOR_BY_PIXEL,
         xml_sensor((0.7, 3.3, 4.3), (0.1, 0.25, -0.2), 32, rfilter="box", sampler="multijitter"),
         xml_diffuse("plaster", (0.70, 0.70, 0.70)),
         xml_diffuse("sand", (0.65, 0.65, 0.60)),

@@ -4,12 +4,15 @@
 
 runs ``scenes/inverse_rendering.py`` for the rectangle and the pentagon from `starts` random starts, then the same optimisation by
 ``direct_projective`` (``guiding`` none), which takes as many steps as fit into the time `shprt` took; steps are timed in the same run.
-Steps of `shprt` are replayed by `dr.freeze`; Mitsuba refuses that for its projective integrators, whose steps are traced anew. It
-writes ``validation/results/inverse.json``, ``inverse_convergence.png`` and, for the start that ended as the median,
+Steps of `shprt` are replayed by `dr.freeze`; Mitsuba refuses that for its projective integrators, whose steps are traced anew (two fifths
+of their time). It writes ``validation/results/inverse.json``, ``inverse_convergence.png`` and, for the start that ended as the median,
 ``inverse_rectangle.png`` and ``inverse_pentagon.png``.
 
 A start has found the light if the centre is within 2 % of its distance from the scene. Size and radiance of a light show in the
 penumbras only, and what the picture tells for certain is their product: both are in the table, and so is the product.
+
+The pentagon's corners need not be found: half a turn in its plane moves them by a fifth of the light's distance, but changes the loss by
+less than 1 % of itself at order 8, even with 16 samples of 128 rays per pixel. The picture does not tell such outlines apart.
 """
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ FOUND = 0.02
 """Largest error of the centre, in parts of its distance."""
 
 RESOLUTION, ORDER = 64, 8
-SPP = {"shprt": 1, "direct_projective": 16}
+SPP = {"shprt": 4, "direct_projective": 16}
 """Samples per pixel of a step; for `direct_projective` the best of 4, 16, 64 and 256 at equal time (rectangle, start 2)."""
 
 TIMED_STEPS = 4

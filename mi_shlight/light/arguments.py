@@ -4,6 +4,7 @@ from __future__ import annotations
 import numbers
 
 import drjit as dr
+import numpy as np
 
 from ..arrays import vectors3
 from ..errors import check_number, message
@@ -21,6 +22,8 @@ def polygon_arguments(function: str, vertices, x, **vectors) -> tuple:
     """
     if not isinstance(vertices, (list, tuple)):
         raise TypeError(message(function, "vertices", "be a list of 3-vectors", vertices, "Example: [mi.Point3f(0, 0, 1), ...]."))
+    if any(isinstance(v, numbers.Number) for v in vertices):
+        raise TypeError(message(function, "vertices", "be a list of 3-vectors", vertices, "Those are the coordinates of a single one."))
     if len(vertices) < 3:
         raise ValueError(message(function, "vertices", "have at least three entries", vertices, "A polygon has three or more corners."))
     vertices, *others = vectors3(function, vertices=list(vertices), x=x, **vectors)
@@ -45,6 +48,8 @@ def error_argument(function: str, max_error, x):
 def float_list(function: str, argument: str, values, number, least: int, most: int, hint: str) -> list:
     """Entries of a list of `least` to `most` floats: Python floats, or Dr.Jit floats as `number`; TypeError or ValueError if not."""
     rule = f"be a list of {least} floats" if least == most else f"be a list of {least} to {most} floats"
+    if isinstance(values, np.ndarray) and values.ndim == 1 and values.dtype.kind in "fiu":
+        values = values.tolist()
     if not isinstance(values, (list, tuple)):
         raise TypeError(message(function, argument, rule, values, hint))
     if not least <= len(values) <= most:

@@ -43,7 +43,7 @@ import drjit as dr
 import numpy as np
 
 from ..sh.lobes import fibonacci_hemisphere, sh_matrix
-from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, zeros
+from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, over_cosine, zeros
 
 BODY_SIZE = 5000
 """Multiplications by X in one loop body: order 20 just fits. Higher degrees get loops of their own, as straight code compiles the slower
@@ -109,7 +109,7 @@ def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
         def term(v_i, v_j, apex, values=values, lines=lines):
             frame = edge_frame(v_i, v_j)
             inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
-            line = lines(frame, [inverse_i + inverse_j, inverse_i - inverse_j])
+            line = lines(frame, over_cosine(frame, inverse_i, inverse_j), [inverse_i + inverse_j, inverse_i - inverse_j])
             return values(v_i, v_j, apex) + [(n, value) for n in frame.normal for value in line]
 
         total = light.sum(term, x, apex, 4 * width, active)
@@ -131,8 +131,10 @@ def project_edge_lines(light, x, apex, order: int) -> tuple:
 
         def term(v_i, v_j, apex, values=values, lines=lines):
             frame = edge_frame(v_i, v_j)
-            inverse_i, inverse_j = -inverse_length(v_i), -inverse_length(v_j)
-            return [*values(v_i, v_j, apex), *lines(frame, [inverse_i, inverse_i]), *lines(frame, [inverse_j, -inverse_j]), *frame.normal]
+            inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
+            over_cos = over_cosine(frame, inverse_i, inverse_j)
+            by_i, by_j = lines(frame, over_cos, [-inverse_i, -inverse_i]), lines(frame, over_cos, [-inverse_j, inverse_j])
+            return [*values(v_i, v_j, apex), *by_i, *by_j, *frame.normal]
 
         sums, kept = light.sum_and_keep(term, x, apex, width, 2 * width + 3)
         coeffs += sums
@@ -205,15 +207,14 @@ def _values(order: int, bands: range):
 
 
 def _lines(order: int, bands: range):
-    """Function ``(frame, (a, b))`` that gives ``int (a cos s / (2 cos h) - b sin s / (2 sin h)) Y_lm ds`` of some bands: ``w_i`` for
-    a = b, ``w_j`` for a = -b.
+    """Function ``(frame, over_cos, (a, b))`` that gives ``int (a cos s / (2 cos h) - b sin s / (2 sin h)) Y_lm ds`` of some bands: ``w_i``
+    for a = b, ``w_j`` for a = -b. `over_cos`: ``1 / (2 cos h)``.
     """
     table = constants(order)
 
-    def lines(frame, factors):
+    def lines(frame, over_cos, factors):
         (alpha, beta, phi), sines = _angles(frame, bands[-1])
-        even, odd = _line_integrals(frame, sines, bands[-1])
-        even, odd = [factors[0] * a for a in even], [factors[1] * b for b in odd]
+        even, odd = _line_integrals(frame, sines, over_cos * factors[0], factors[1], bands[-1])
         local = [None] * (order + 1) ** 2
         for l, m, i, j in _even(bands):
             local[i] = dr.fma(even[m], phi[0][m], odd[m] * phi[1][m]) * table.level[i]
@@ -231,8 +232,9 @@ def _tangent(order: int, bands: range):
 
     def tangent(v_i, v_j, apex, by_i, by_j):
         frame = edge_frame(v_i, v_j)
-        a, b = dr.dot(frame.normal, by_i) * -inverse_length(v_i), dr.dot(frame.normal, by_j) * -inverse_length(v_j)
-        slopes = lines(frame, [a + b, a - b])
+        inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
+        a, b = dr.dot(frame.normal, by_i) * -inverse_i, dr.dot(frame.normal, by_j) * -inverse_j
+        slopes = lines(frame, over_cosine(frame, inverse_i, inverse_j), [a + b, a - b])
         if bands[0] == 0:
             slopes[0] = dr.select(dr.squared_norm(apex) > 0, slopes[0], 0)
         return slopes
@@ -266,14 +268,14 @@ def _shading(transfer: list, order: int, bands: range, value=True, gradients=Tru
             if bands[0] == 0:
                 values[0] = dr.select(dr.squared_norm(apex) > 0, values[0], 0)
             cosine, sine = _waves(values, table.level, _even(bands), order)
-            along, across = 0, 0
-            for m, (a, b) in enumerate(zip(*_line_integrals(frame, sines, bands[-1]))):
+            along, across, inverse_i, inverse_j = 0, 0, inverse_length(v_i), inverse_length(v_j)
+            over_cos = over_cosine(frame, inverse_i, inverse_j)
+            for m, (a, b) in enumerate(zip(*_line_integrals(frame, sines, over_cos, 1, bands[-1]))):
                 if cosine[m] is not None:
                     along = dr.fma(_wave(cosine[m], phi[0][m], sine[m], phi[1][m]), a, along)
                     if m:
                         across = dr.fma(dr.fma(cosine[m], phi[1][m], -(sine[m] * phi[0][m])), b, across)
-            for line, v in ((along + across, v_i), (along - across, v_j)):
-                out += [*(frame.normal * (line * -inverse_length(v)))]
+            out += [*(frame.normal * ((along + across) * -inverse_i)), *(frame.normal * ((along - across) * -inverse_j))]
         return out
 
     return term
@@ -294,12 +296,8 @@ def _wave(a, cos, b, sin):
     return a * cos if b is None else dr.fma(a, cos, b * sin)
 
 
-def _line_integrals(frame: EdgeFrame, sines: list, order: int) -> tuple:
-    """The integrals (4) over ``2 cos h`` and ``2 sin h``, m = 0 .. order; 0 for an edge without a plane. `sines`: of m h, to order + 1.
-
-    They grow without bound as the edge comes near the point; ``2 cos h`` counts as 2e-7 at least, which keeps derivatives finite.
-    """
-    usable = frame.arc > 0
+def _line_integrals(frame: EdgeFrame, sines: list, along, across, order: int) -> tuple:
+    """The integrals (4) times `along` and times `across` over ``2 sin h``, m = 0 .. order. `sines`: of m h, to order + 1."""
     h = 0.5 * frame.arc
     sums = [h] + [sine * (1 / m) for m, sine in enumerate(sines[1:], 1)]
     # m h - sin(m h)
@@ -313,9 +311,7 @@ def _line_integrals(frame: EdgeFrame, sines: list, order: int) -> tuple:
         step = dr.fma(curve, sines[m], step)
         rest.append(rest[m] + step)
     rest = [rest[0]] + [value * (1 / m) for m, value in enumerate(rest[1:], 1)]
-    half = dr.select(usable, 0.5, type(h)(0))
-    along = half / dr.maximum(frame.cos_half, 1e-7)
-    across = half / dr.select(usable, frame.sin_half, 1)
+    across = dr.select(frame.arc > 0, across * 0.5 / dr.select(frame.arc > 0, frame.sin_half, 1), 0)
     return ([(sums[abs(m - 1)] + sums[m + 1]) * along for m in range(order + 1)],
             [(rest[m + 1] - rest[abs(m - 1)]) * across if m else rest[0] for m in range(order + 1)])
 

@@ -29,8 +29,8 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     coeffs : list of (order + 1)**2 floats in steradians
         As from :py:func:`mi_shlight.project_polygon`.
     gradients : list of N lists of (order + 1)**2 3-vectors, in steradians per unit of length
-        ``gradients[i][k]`` is the derivative of ``coeffs[k]`` with respect to vertex i. That with respect to `x` is minus the sum over i;
-        :py:func:`project_polygon_spatial_gradient` gives it without the cancellation in that sum.
+        ``gradients[i][k]`` is the derivative of ``coeffs[k]`` with respect to vertex i, a plain Dr.Jit ``Array3f``. That with respect to
+        `x` is minus the sum over i; :py:func:`project_polygon_spatial_gradient` gives it without the cancellation in that sum.
 
     Raises
     ------
@@ -43,12 +43,12 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     angle and width of the light, at most 2e-6 in float32 and 5e-15 in float64 by ``edge``, ``auto`` and ``quadrature``. ``recurrence``:
     8e-6 and 2e-14, for lights at 10 to 1e4 of their sizes up to 2e-5 and 3e-11.
 
-    Limits: derivatives grow without bound as `x` comes near the border, or the light near `x`; beyond 1e30 (1e300 in float64) per unit of
-    length they stay finite, but too small. A vertex at `x`, an edge through `x`, and coincident vertices get 0 from the edges concerned.
-    Finite input never gives NaN; a coordinate that is infinite or NaN makes its lane NaN. Carries no derivatives itself.
+    Limits: derivatives grow without bound as `x` comes near the border, or the light near `x`; beyond 1e30 (1e300 in float64) per unit
+    of length they stay finite, but may be too small. A vertex at `x`, an edge through `x`, and coincident vertices get 0 from the edges
+    concerned. Finite input never gives NaN; a coordinate that is infinite or NaN makes its lane NaN. Carries no derivatives itself.
 
-    Size of kernel and result grow with vertices times coefficients. For a sum ``sum_lm T_lm L_lm`` alone use
-    :py:func:`mi_shlight.shade_polygon_gradient`, for reverse mode :py:func:`mi_shlight.shade_polygon`.
+    Time to compile: 1 s at order 8, 2 s at 14, 10 s at 20 (float64: twice that). The result grows with vertices times coefficients. For a
+    sum ``sum_lm T_lm L_lm`` alone use :py:func:`mi_shlight.shade_polygon_gradient`, for reverse mode :py:func:`mi_shlight.shade_polygon`.
     """
     n, light, x, apex = _arguments("project_polygon_gradient", vertices, x, order, method)
     max_error = default_error(x)

@@ -387,6 +387,14 @@ def inverse_length(v):
     return dr.minimum(scale * (1 / safe_length(v * scale)), 1e30 if dr.epsilon(v) > 1e-10 else 1e300)
 
 
+def over_cosine(frame: EdgeFrame, *inverses):
+    """``1 / (2 cos(T / 2))`` of an edge, 0 if it has no plane; at most so large that its product with any of `inverses`,
+    :py:func:`inverse_length` of the ends, stays finite.
+    """
+    least = functools.reduce(dr.maximum, inverses) * (0.5e-36 if dr.epsilon(frame.normal) > 1e-10 else 0.5e-306)
+    return dr.select(frame.arc > 0, 0.5 / dr.maximum(frame.cos_half, least), 0)
+
+
 def safe_length(v):
     """Length of a vector whose components are of moderate size, and never 0: 1 in its place."""
     squared = dr.squared_norm(v)

@@ -33,7 +33,7 @@ import numpy as np
 from ..sh.basis import sh_basis, sh_basis_gradient
 from ..sh.lobes import sh_matrix
 from .polygon import (EdgeFrame, compensated_cross, edge_frame, exact_difference, fold, inverse_length, largest_component,
-                      power_of_two_scale, safe_length, triple_product, zeros)
+                      over_cosine, power_of_two_scale, safe_length, triple_product, zeros)
 
 NODE_COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)
 """Numbers of Gauss nodes per direction to choose from."""
@@ -49,6 +49,10 @@ borders rise differently (``|00| |11|`` against ``|10| |01|``). For each of thes
 in t do not count for a patch slim in s. Beyond the HOPELESS ones, which a point near the border meets, no rule helps: the error is 1 for a
 gap below 0.01 (:py:func:`_rough_solid_angle`), 1e-5 to 1e-2 where the largest rule is five or more too small. See
 validation/stability.py."""
+
+
+LARGEST_SCALE = 1e30
+"""Derivatives of smaller lights, per unit of length, are beyond the largest float32."""
 
 
 class Demand(NamedTuple):
@@ -171,7 +175,7 @@ def integrate(light, x, order: int, max_error: float, add, total, active=True, s
         middle = v00 + v01, v10 + v11
         lengths = tuple(safe_length(v) for v in middle)
         # Dr.Jit's loops see no members of named tuples
-        others = tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths, view.scale
+        others = tuple(patch), tuple(centre), tuple(edge_frame(*middle)), lengths, dr.minimum(view.scale, LARGEST_SCALE)
 
         def over_s(node, total, patch, centre, middle, lengths, unit):
             (v, f, g), centre, middle = patch, _Centre(*centre), EdgeFrame(*middle)
@@ -255,16 +259,19 @@ def project_quadrature_lines(light, x, apex, order: int, max_error: float) -> li
         frame = edge_frame(v_i, v_j)
         chosen = nodes.choose_along(dr.square(2 * frame.sin_half))
 
-        def over_edge(node, total, frame):
+        def over_edge(node, total, frame, least):
             frame = EdgeFrame(*frame)
-            p, q, _ = _slerp(node[0], frame)
-            basis = sh_basis(_renormalised(dr.fma(frame.omega_i, p, frame.omega_j * q)), order)
+            p, q, _ = _slerp(node[0], frame, least)
+            angle = (node[0] - 0.5) * frame.arc       # from the middle: near half circles p and q leave nothing of a direction
+            omega = dr.fma(frame.middle, dr.cos(angle), dr.cross(frame.normal, frame.middle) * dr.sin(angle))
+            basis = sh_basis(_renormalised(omega), order)
             p, q = (node[1] * frame.arc * share for share in (p, q))
             return [dr.fma(share, y, t) for t, (share, y) in zip(total, [(p, y) for y in basis] + [(q, y) for y in basis])]
 
-        total = fold(*nodes.range(chosen), nodes.read, over_edge, zeros(x, 2 * count), (tuple(frame),))
-        inverse_i, inverse_j = -inverse_length(v_i), -inverse_length(v_j)
-        return [value * inverse_i for value in total[:count]] + [value * inverse_j for value in total[count:]] + list(frame.normal)
+        inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
+        least = 1 / dr.maximum(2 * over_cosine(frame, inverse_i, inverse_j), 1)       # of the sine, as large as the half angle's cosine
+        total = fold(*nodes.range(chosen), nodes.read, over_edge, zeros(x, 2 * count), (tuple(frame), least))
+        return [value * -inverse_i for value in total[:count]] + [value * -inverse_j for value in total[count:]] + list(frame.normal)
 
     return light.sum_and_keep(term, x, apex, 0, 2 * count + 3)[1]
 
@@ -440,10 +447,13 @@ def _centre(patch: _Patch, small) -> tuple:
     return centre, small & (abs(total) == size) & (total != 0)
 
 
-def _slerp(u, frame):
-    """(p, q, ratio) of equations (2) and (3): weights of the arc's ends at the fraction u of its angle, and ``Phi / sin Phi``."""
+def _slerp(u, frame, least=1e-6):
+    """(p, q, ratio) of equations (2) and (3): weights of the arc's ends at the fraction u of its angle, and ``Phi / sin Phi``.
+
+    `least`: limit of the sine near half circles, which keeps areas finite that cubature makes no sense of.
+    """
     curved = frame.arc > 0
-    sin = dr.select(frame.cos < 0, dr.maximum(frame.sin, 1e-6), frame.sin)      # finite, where half circles have no sense anyway
+    sin = dr.select(frame.cos < 0, dr.maximum(frame.sin, least), frame.sin)
     sin = dr.select(curved, sin, 1)
     p, q = dr.sin((1 - u) * frame.arc) / sin, dr.sin(u * frame.arc) / sin
     return dr.select(curved, p, 1 - u), dr.select(curved, q, u), dr.select(curved, frame.arc / sin, 1)

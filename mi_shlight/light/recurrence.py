@@ -26,7 +26,7 @@ from typing import NamedTuple
 import drjit as dr
 
 from ..sh.lobes import lobes
-from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, zeros
+from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, over_cosine, zeros
 
 UNROLL_ORDER = 14
 """Up to this order all lobes stand in one kernel body. Above, a symbolic loop runs over the lobes: four times slower per point,
@@ -105,11 +105,10 @@ class Shares(NamedTuple):
     """``cos h``."""
 
 
-def edge_shares(frame: EdgeFrame) -> Shares:
-    """:py:class:`Shares` of an edge."""
+def edge_shares(frame: EdgeFrame, *inverses) -> Shares:
+    """:py:class:`Shares` of an edge whose ends have the :py:func:`~mi_shlight.light.polygon.inverse_length` `inverses`."""
     usable = frame.arc > 0
-    half = dr.select(usable, 0.5, type(frame.arc)(0))
-    over_cos = half / dr.select(usable, frame.cos_half, 1)
+    half, over_cos = dr.select(usable, 0.5, type(frame.arc)(0)), over_cosine(frame, *inverses)
     return Shares(over_cos, half / dr.select(usable, frame.sin_half, 1), 2 * frame.sin_half * over_cos, 2 * frame.cos_half * half)
 
 
@@ -187,7 +186,7 @@ def project_recurrence_spatial(light, x, apex, order: int, active=True) -> tuple
     for group in _groups(order, 1):
         def term(v_i, v_j, apex, group=group):
             frame = edge_frame(v_i, v_j)
-            arcs, shares, factors = _arcs(frame, order, group), edge_shares(frame), _spatial_factors(v_i, v_j)
+            arcs, (shares, *factors) = _arcs(frame, order, group), _spatial_factors(frame, v_i, v_j)
             lines = _to_harmonics([line_integrals(arc, shares, *factors) for arc in arcs], order, group)
             return _sums(frame, apex, arcs, group) + [n * value for n in frame.normal for value in lines]
 
@@ -207,16 +206,16 @@ def project_recurrence_lines(light, x, apex, order: int) -> tuple:
     """
     count = (order + 1) ** 2
 
-    def ends(v_i, v_j, even, odd):
-        inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
+    def ends(inverse_i, inverse_j, even, odd):
         return [*((o - e) * inverse_i for e, o in zip(even, odd)), *((-e - o) * inverse_j for e, o in zip(even, odd))]
 
     if _looped(order, x):
         def term(v_i, v_j, apex):
             frame = edge_frame(v_i, v_j)
-            shares = edge_shares(frame)
+            inverses = inverse_length(v_i), inverse_length(v_j)
+            shares = edge_shares(frame, *inverses)
             lines = _over_lobes(order, zeros(v_i, 2), type(v_i[0]), lambda w: share_integrals(arc_series(frame, order, w), shares, frame))
-            return [*ends(v_i, v_j, lines[:count], lines[count:]), *frame.normal]
+            return [*ends(*inverses, lines[:count], lines[count:]), *frame.normal]
 
         return project_recurrence(light, x, apex, order), light.sum_and_keep(term, x, apex, 0, 2 * count + 3)[1]
 
@@ -224,9 +223,10 @@ def project_recurrence_lines(light, x, apex, order: int) -> tuple:
     for group in _groups(order, 2):
         def term(v_i, v_j, apex, group=group):
             frame = edge_frame(v_i, v_j)
-            arcs, shares = _arcs(frame, order, group), edge_shares(frame)
+            inverses = inverse_length(v_i), inverse_length(v_j)
+            arcs, shares = _arcs(frame, order, group), edge_shares(frame, *inverses)
             lines = (_to_harmonics(part, order, group) for part in zip(*(share_integrals(arc, shares, frame) for arc in arcs)))
-            return [*_sums(frame, apex, arcs, group), *ends(v_i, v_j, *lines), *frame.normal]
+            return [*_sums(frame, apex, arcs, group), *ends(*inverses, *lines), *frame.normal]
 
         total, rows = light.sum_and_keep(term, x, apex, (group[0] == 0) + order * len(group), 2 * count + 3)
         sums += total
@@ -322,10 +322,10 @@ def _to_harmonics(zonal, order: int, group: range) -> list:
     return out
 
 
-def _spatial_factors(v_i, v_j) -> tuple:
-    """Factors (a, b) of :py:func:`line_integrals` for one over the distance: what a displacement of `x` does to the edge."""
+def _spatial_factors(frame: EdgeFrame, v_i, v_j) -> tuple:
+    """Arguments (shares, a, b) of :py:func:`line_integrals` for one over the distance: what a displacement of `x` does to the edge."""
     inverse_i, inverse_j = inverse_length(v_i), inverse_length(v_j)
-    return inverse_i + inverse_j, inverse_i - inverse_j
+    return edge_shares(frame, inverse_i, inverse_j), inverse_i + inverse_j, inverse_i - inverse_j
 
 
 def _project_lobe_loop(light, x, apex, order: int, active) -> list:
@@ -347,7 +347,7 @@ def _spatial_lobe_loop(light, x, apex, order: int, active) -> list:
         def term(v_i, v_j, apex):
             frame = edge_frame(v_i, v_j)
             arc = arc_series(frame, order, lobe)
-            lines = line_integrals(arc, edge_shares(frame), *_spatial_factors(v_i, v_j))
+            lines = line_integrals(arc, *_spatial_factors(frame, v_i, v_j))
             return boundary_terms(arc) + [n * value for n in frame.normal for value in lines]
 
         sums = light.sum(term, x, apex, order + 3 * (order + 1), active)

@@ -240,21 +240,47 @@ def test_lowest_orders(precision, method, order):
 def test_inside_a_symbolic_loop():
     number, array = dr.llvm.ad.Float, dr.llvm.ad.Array3f
     v = [array(*map(float, p)) for p in QUAD]
+    weights = np.random.default_rng(2).normal(size=(6, 9))
+    mixed = lambda parts, row: sum(w * part for w, part in zip(weights[row].tolist(), parts))
+
+    def step(v, x):
+        coeffs, gradients = project_polygon_gradient(v, x, 2)
+        slopes = project_polygon_spatial_gradient(v, x, 2)[1]
+        return mixed(coeffs, 0) + sum(mixed(g, 1 + i) for i, g in enumerate(gradients)) + mixed(slopes, 5)
 
     def body(i, total, x):
-        below = array(x.x, x.y, x.z - number(i))
-        coeffs, gradients = project_polygon_gradient(v, below, 2)
-        slopes = project_polygon_spatial_gradient(v, below, 2)[1]
-        return i + 1, total + sum(coeffs) + sum(sum(g) for g in gradients) + sum(slopes), x
+        return i + 1, total + step(v, array(x.x, x.y, x.z - number(i))), x
 
     x = array(0.1, 0.2, 0.0)
     dr.make_opaque(x)
     total = dr.while_loop((dr.llvm.ad.UInt32(0), array(0), x), lambda i, *_: i < 3, body, mode="symbolic")[1]
-    expected = 0
-    for i in range(3):
-        coeffs, gradients = project_polygon_gradient(QUAD.tolist(), [0.1, 0.2, -float(i)], 2)
-        expected = expected + sum(coeffs)              # the derivatives by vertices and by the point cancel
-    assert np.allclose(numbers([total])[0, :, 0], expected, rtol=1e-4)
+    expected = sum(np.array(step(QUAD.tolist(), [0.1, 0.2, -float(i)])) for i in range(3))
+    assert np.allclose(numbers([total])[0, :, 0], expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["edge", "auto", "recurrence"])
+@pytest.mark.parametrize("distance", [1e-3, 1e-6, 1e-10])
+def test_close_to_an_edge(method, distance):
+    """Derivatives by the point grow as one over its distance from the border; order 2, where the solid angle's jump does not count."""
+    corners = [(0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-2.0, 1.0, 0.0), (-2.0, -1.0, 0.0)]
+    direction, motion = np.array([1, 0, 0.3]), [-0.3, 0, 1]
+    gradient = np.array(project_polygon_spatial_gradient(corners, (distance * direction).tolist(), 2, method)[1]) @ motion
+    step = distance * 1e-2
+    at = lambda k: np.array(project_polygon(corners, (distance * direction + k * step * np.array(motion)).tolist(), 2, "edge"))
+    assert relative((at(-2) - 8 * at(-1) + 8 * at(1) - at(2)) / (12 * step), gradient) < 1e-6
+    assert np.linalg.norm(gradient) > 0.1 / distance
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("function", [project_polygon_gradient, project_polygon_spatial_gradient])
+def test_tiny_lights_with_close_edges(precision, method, function):
+    size, gap = (np.ravel(part) for part in np.meshgrid(10.0 ** np.arange(-44, 31, 3), 10.0 ** np.arange(-20, 0, 2)))
+    near, far = size * gap, 2 * size
+    corners = [(near, -size, 0 * size), (near, size, 0 * size), (-far, size, size), (-far, -size, size)]
+    with np.errstate(over="ignore", under="ignore"):
+        vertices = [wide(precision, np.stack(corner, axis=1)) for corner in corners]
+    values, gradients = function(vertices, precision.vector((0, 0, 0)), 3, method)
+    assert np.isfinite(numbers(values)).all() and np.isfinite(numbers(gradients)).all()
 
 
 @pytest.mark.parametrize("function", [project_polygon_gradient, project_polygon_spatial_gradient])
@@ -263,6 +289,7 @@ def test_inside_a_symbolic_loop():
     ({"method": "fast"}, ValueError, "'method' must be one of 'auto', 'recurrence', 'edge', 'quadrature', got 'fast'"),
     ({"vertices": QUAD[:2].tolist()}, ValueError, "'vertices' must have at least three entries"),
     ({"x": (0, 0)}, TypeError, "'x' must be a 3-vector"),
+    ({"vertices": [1, 2, 3]}, TypeError, "'vertices' must be a list of 3-vectors, got .* coordinates of a single one"),
 ])
 def test_bad_arguments(function, arguments, error, text):
     with pytest.raises(error, match=rf"{function.__name__}\(\): " + text):

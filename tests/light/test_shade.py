@@ -188,6 +188,31 @@ def test_vertices_as_loop_state():
         assert derivative(total, number, mode) == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.parametrize("flow", ["loop", "if"])
+def test_single_vertices_and_many_points_in_control_flow(flow):
+    number, array = ad.Float, ad.Array3f
+    points = np.array([[0.1, -0.2, 0.3], [0.2, 0, -0.1], [0, 0.1, 0]])
+
+    def slopes(symbolic):
+        vertices, transfer = [array(*map(float, v)) for v in QUAD], [number(float(t)) for t in TRANSFER]
+        x = array(*(number(c.tolist()) for c in points))
+        dr.make_opaque(x)
+        dr.enable_grad(vertices, transfer)
+        shade = lambda x, v, t: shade_polygon(v, x, t, ORDER)
+        if not symbolic:
+            value = shade(x, vertices, transfer) * number([3, 3, 3] if flow == "loop" else [1, 0, 1])
+        elif flow == "loop":
+            value = dr.while_loop((ad.UInt32(0), number(0), x, vertices, transfer), lambda i, *_: i < 3,
+                                  lambda i, total, x, v, t: (i + 1, total + shade(x, v, t), x, v, t), mode="symbolic", max_iterations=-1)[1]
+        else:
+            value = dr.if_stmt((x, vertices, transfer), ad.Bool([True, False, True]), shade, lambda *_: number(0), mode="symbolic")
+        dr.backward(value)
+        return np.array([np.array(dr.grad(v)) for v in vertices]), np.array([np.array(dr.grad(t)) for t in transfer])
+
+    for inside, plain in zip(slopes(True), slopes(False)):
+        assert np.abs(plain).max() > 0.01 and np.allclose(inside, plain, rtol=1e-5, atol=1e-6)
+
+
 def test_in_a_symbolic_call():
     number, array = ad.Float, ad.Array3f
     transfers = [[number(float(t) * scale) for t in TRANSFER] for scale in (1, -2)]
@@ -279,7 +304,7 @@ def test_random_polygons(precision):
 
 @pytest.mark.parametrize("corners", [QUAD, PENTAGON], ids=["quad", "pentagon"])
 def test_python_floats(corners):
-    value, gradients = shade_polygon_gradient(corners.tolist(), X[:, 0].tolist(), TRANSFER.tolist(), ORDER)
+    value, gradients = shade_polygon_gradient(corners.tolist(), X[:, 0].tolist(), TRANSFER, ORDER)
     assert type(value) is float and value == pytest.approx(shade_polygon(corners.tolist(), X[:, 0].tolist(), TRANSFER.tolist(), ORDER))
     shifted = corners.copy()
     shifted[2, 1] += 1e-6

@@ -80,6 +80,27 @@ def test_centroid_of_a_concave_polygon(example):
     assert np.allclose(centre, (5 / 6, 5 / 6, 0)) and np.allclose(area, (0, 0, 3))
 
 
+def test_polygons_stay_planar_and_convex(example):
+    """Whatever a step does to a pentagon, its fan of faces stays a light; a good one is left alone."""
+    rng = np.random.default_rng(0)
+    angles = 2 * np.pi * np.arange(5) / 5
+    regular = np.stack([np.cos(angles), np.sin(angles), np.zeros(5)], axis=1)
+    dented = 0
+    for i in range(200):
+        corners = regular + (i > 0) * rng.normal(size=(5, 3)) * (0.35, 0.35, 0.1)
+        light = example.Polygon(corners, (1, 1, 1))
+        values = dict(light.start)
+        light.constrain(values)
+        moved, _ = light.outline(values)
+        faces = lambda points: np.cross(points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points)
+        normal = example.centroid(moved)[1]
+        dented += (faces(corners)[:, 2] < 0).any()
+        assert (faces(moved) @ normal > 0).all()
+        assert np.abs((moved - moved.mean(axis=0)) @ normal).max() < 1e-5 * np.linalg.norm(normal)
+        assert i or np.abs(moved - regular).max() < 1e-6
+    assert dented > 20
+
+
 @pytest.mark.parametrize("name, seed", [("rectangle", 2), ("pentagon", 0)])
 def test_optimisation_approaches_the_light(example, problems, name, seed):
     """Thirty steps on 24 x 24 pixels: far from done, but error of picture and of position fall, and the light stays valid."""
