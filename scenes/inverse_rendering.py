@@ -164,7 +164,7 @@ def picture_loss(scene, parameters, integrator, target, spp, seed):
     return dr.detach(loss)
 
 
-def optimise(scene, light, target, integrator=None, *, iterations=120, rate=0.1, spp=4, seed=0, resample=False, freeze=True):
+def optimise(scene, light, target, integrator=None, *, iterations=240, rate=0.1, spp=4, seed=0, resample=False, freeze=True):
     """Fit the parameters of a light to a picture by Adam.
 
     Parameters
@@ -348,7 +348,7 @@ def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.add_argument("problem", nargs="?", choices=("rectangle", "pentagon"), default="rectangle")
     parser.add_argument("--seed", type=whole(0, 2**31), default=0, help="of the random start")
-    parser.add_argument("--iterations", type=whole(1, 100000), default=120)
+    parser.add_argument("--iterations", type=whole(1, 100000), default=240)
     parser.add_argument("--resolution", type=whole(8, 1024), default=64, help="pixels each way")
     parser.add_argument("--order", type=whole(0, 64), default=8, help="highest degree of the spherical harmonics")
     parser.add_argument("-o", "--output", type=Path, help="PNG file for the pictures before, after and target")

@@ -155,7 +155,7 @@ def plot_images(images: dict, path: pathlib.Path) -> None:
         row[0].set_ylabel(rf"$\partial L_{{{l},{m}}} / \partial {'xyz'[axis]}$")
     for cell, title in zip(axes[0], columns):
         cell.set_title(title, fontsize=10)
-    figure.savefig(path, dpi=80)
+    figure.savefig(path, dpi=60)
     plt.close(figure)
 
 

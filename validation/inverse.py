@@ -93,11 +93,11 @@ def verdict(track) -> dict:
             **last}
 
 
-def run(starts: int, iterations: int) -> tuple:
+def run(problems, starts: int, iterations: int) -> tuple:
     """(report, tracks by problem and method, pictures by problem)."""
     example = load_example()
     report, tracks, pictures = {}, {}, {}
-    for name in PROBLEMS:
+    for name in problems:
         problem = example.set_up(name, RESOLUTION, ORDER)
         scene, truth, target = problem
         lights = [example.random_start(truth, scene, np.random.default_rng(seed)) for seed in range(starts)]
@@ -153,13 +153,17 @@ def draw_convergence(tracks, path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--starts", type=int, default=10)
-    parser.add_argument("--iterations", type=int, default=120, help="steps of shprt")
+    parser.add_argument("--iterations", type=int, default=240, help="steps of shprt")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     options = parser.parse_args()
     dr.set_thread_count(options.threads)
-    report, tracks, pictures = run(options.starts, options.iterations)
+    write(*run(PROBLEMS, options.starts, options.iterations), options.threads)
+
+
+def write(report, tracks, pictures, threads: int) -> None:
+    """Write what :py:func:`run` gave, and print the summary."""
     versions = {"mi_shlight": mi_shlight.__version__, "mitsuba": mi.__version__, "machine": platform.processor() or platform.machine(),
-                "threads": options.threads}
+                "threads": threads}
     summary = {name: {method: {"found": sum(e["found"] for e in entries), "of": len(entries),
                                **{f"median {figure}": float(np.median(np.abs([e[figure] for e in entries]))) for figure in FIGURES}}
                       for method, entries in methods.items()} for name, methods in report.items()}
