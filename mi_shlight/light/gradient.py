@@ -63,7 +63,11 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     finite, count = all_finite(*light.vertices, x), len(coeffs)
     normals = [dr.select(finite, type(x)(*row[2 * count:]) * SCALE, dr.nan) for row in rows]
     gradients = [[dr.fma(normals[e], row[k], normals[e - 1] * rows[e - 1][count + k]) for k in range(count)] for e, row in enumerate(rows)]
-    return _results(coeffs, gradients, finite)
+    coeffs = [dr.select(finite, c, dr.nan) for c in coeffs]
+    if not dr.flag(dr.JitFlag.SymbolicScope):
+        for part in (coeffs, *gradients):             # kernels with fewer results compile in a fraction of the time
+            dr.eval(part)
+    return coeffs, gradients
 
 
 def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "auto") -> tuple:
@@ -95,7 +99,8 @@ def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "aut
     the coefficients: 1e-6 in float32 for lights of moderate size, 1e-4 at 100 sizes, useless at 1e5. ``quadrature`` integrates the
     derivative over the light's area and keeps its digits there, but is useless close to the light.
 
-    Limits as for :py:func:`project_polygon_gradient`. Carries no derivatives itself.
+    Limits as for :py:func:`project_polygon_gradient`. Carries no derivatives itself. Evaluate wide results together,
+    ``dr.eval(coeffs, gradient)``.
     """
     n, light, x, apex = _arguments("project_polygon_spatial_gradient", vertices, x, order, method)
     max_error = default_error(x)
@@ -112,7 +117,9 @@ def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "aut
             parts = [[a + b for a, b in zip(*pair)] for pair in zip(parts, slopes)]
     finite = all_finite(*light.vertices, x)
     gradient = [dr.select(finite, type(x)(*values) * SCALE, dr.nan) for values in zip(*parts)]
-    coeffs, (gradient,) = _results(coeffs, [gradient], finite)
+    coeffs = [dr.select(finite, c, dr.nan) for c in coeffs]
+    if dr.is_jit_v(x) and dr.width(coeffs, gradient) == 1 and not dr.flag(dr.JitFlag.SymbolicScope):
+        dr.schedule(coeffs, gradient)                 # reading them one by one would launch one kernel each
     return coeffs, gradient
 
 
@@ -121,11 +128,3 @@ def _arguments(function: str, vertices, x, order, method) -> tuple:
     check_choice(function, "method", method, METHODS)
     light, x, apex = polygon_arguments(function, vertices, x)
     return order, light.detached(), dr.detach(x), apex
-
-
-def _results(coeffs: list, gradients: list, finite) -> tuple:
-    coeffs = [dr.select(finite, c, dr.nan) for c in coeffs]
-    if not dr.flag(dr.JitFlag.SymbolicScope):
-        for part in (coeffs, *gradients):             # kernels with fewer results compile in a fraction of the time
-            dr.eval(part)
-    return coeffs, gradients

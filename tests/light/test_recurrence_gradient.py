@@ -111,7 +111,7 @@ def test_line_integrals(arc, lobe):
     order = 14
     vector = dr.scalar.Array3f64
     frame = edge_frame(vector(1, 0, 0), vector(np.cos(arc), np.sin(arc), 0))
-    shares, series = edge_shares(frame), arc_series(frame, order, lobe)
+    shares, series = edge_shares(frame, type(frame.arc)(1)), arc_series(frame, order, lobe)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     h = 0.5 * arc
     s, weights = h * nodes, h * weights
