@@ -45,7 +45,7 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
  * - light_margin
    - |float|
    - Distance in scene units by which a light's vertices may move before the transfer is baked again. Optimisations of a light's
-     place run faster with a margin of several steps. (Default: 0)
+     place run faster with a margin of several steps. Of no effect with ``pixel``. (Default: 0)
 
  * - strict
    - |bool|
