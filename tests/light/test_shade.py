@@ -25,12 +25,6 @@ def arrays(precision, corners=QUAD):
     return [precision.vector(v) for v in corners], x, [precision.Float(float(t)) for t in TRANSFER]
 
 
-def tangents(precision, seed, *shapes):
-    """Random directions like each of `shapes`, as plain numbers and as Dr.Jit values."""
-    rng = np.random.default_rng(seed)
-    return [rng.normal(size=shape) for shape in shapes]
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("corners", [QUAD, PENTAGON], ids=["quad", "pentagon"])
 def test_value_and_gradients(precision, method, corners):
@@ -49,9 +43,9 @@ def test_value_and_gradients(precision, method, corners):
 def test_reverse_and_forward_mode(precision):
     """<J v, w> = <v, J^T w> over vertices, points and transfer together, each mode against the analytic derivatives."""
     vertices, x, transfer = arrays(precision)
-    by_v, by_x, by_t, weight = tangents(precision, 1, (4, 3), X.shape, TRANSFER.shape, X.shape[1])
-    everything = [vertices, x, transfer]
-    dr.enable_grad(everything)
+    rng = np.random.default_rng(1)
+    by_v, by_x, by_t, weight = (rng.normal(size=shape) for shape in ((4, 3), X.shape, TRANSFER.shape, X.shape[1]))
+    dr.enable_grad(vertices, x, transfer)
     result = shade_polygon(vertices, x, transfer, ORDER)
     for v, by in zip(vertices, by_v):
         dr.set_grad(v, precision.vector(by))
