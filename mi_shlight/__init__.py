@@ -22,6 +22,7 @@ _MODULES = {
     ".light.mesh": ("project_mesh",),
     ".light.zonal": ("shade_zonal", "zonal_lambert", "zonal_phong"),
     ".light.irradiance": ("polygon_irradiance",),
+    ".grid.light_grid": ("LightGrid",),
     ".sh.basis": ("sh_basis",),
     ".plugins": ("register",),
     ".transfer.bake": ("bake_transfer",),

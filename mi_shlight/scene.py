@@ -1,7 +1,6 @@
 """What the SH renderer needs to know of a Mitsuba scene: its polygonal lights and its diffuse receivers."""
 from __future__ import annotations
 
-import copy
 import hashlib
 import warnings
 from dataclasses import dataclass, field
@@ -11,51 +10,69 @@ import mitsuba as mi
 import numpy as np
 
 from .errors import UnsupportedSceneWarning
-from .light.polygon import EdgeBuffer, apex_direction, direction, strip_corners, strip_count
+from .light.cut import SUBDIVISIONS, Pieces, boundary_edges, cut, is_convex, strips, weld
 
-PLANARITY, BENT = 1e-3, 0.1
-"""Distances of a light's vertices from its mean plane, relative to its extent: beyond the first the light is reported, beyond the second
-refused."""
-
-RADIANCE_SAMPLES = 64
-"""Stratified points over which the mean radiance of a textured light is taken."""
+PLANARITY = 1e-3
+"""Distance of a light's vertices from its mean plane, relative to its extent, up to which its outline stands for it."""
 
 
 @dataclass
 class PolygonLight:
-    """One polygonal emitter: directed boundary edges of its mesh, so holes and concave outlines need no special care.
+    """One emitting mesh of the scene.
 
-    The light of a uniform surface depends on its outline alone wherever all of its faces turn their front to the point, so corners need not
-    lie in one plane. Points that see only a part of the faces from the front, near the mean plane, get the difference of fronts and backs;
-    those behind the mean plane get nothing.
+    A planar mesh of uniform radiance is one polygon: the directed boundary edges of its mesh, so holes and concave outlines need no special
+    care. Any other, bent, closed or textured, is made of triangles of uniform radiance.
     """
 
     name: str
     shape: object
     emitter: object
-    start: np.ndarray
-    end: np.ndarray
-    """Vertex indices of each boundary edge. Seen from the emitting side the polygon lies to the right of its edges, which makes
-    the solid angle positive for the points it lights."""
-    patches: np.ndarray = field(repr=False)
-    """Four vertex indices for each of the strips (P, 4) that fill the polygon, oriented as the edges; see
-    :py:meth:`mi_shlight.light.polygon.VertexList.fold_patches`."""
     vertices: np.ndarray = field(repr=False)
     """All vertex positions of the mesh, (V, 3) float64, world space."""
-    normal: np.ndarray = field(repr=False)
-    """Unit normal of the mean plane, on the side that emits."""
-    bend: float = 0.0
-    """Largest distance of a vertex from the mean plane, relative to the light's extent."""
-    textured: bool = False
+    faces: np.ndarray = field(repr=False)
+    """(F, 3), wound clockwise as seen from the emitting side, which makes the solid angle positive for the points they light."""
+    uv: np.ndarray = field(repr=False)
+    """Texture coordinates at the corners of each face: (F, 3, 2)."""
+    two_sided: bool
+    """True if all faces emit to the other side, too."""
+    textured: bool
+    normal: np.ndarray | None
+    """Unit normal of the plane, on the side that emits; None if the mesh is not planar."""
+    start: np.ndarray | None = None
+    end: np.ndarray | None = None
+    """Vertex indices of each boundary edge, wound as the faces, of a planar mesh."""
+    patches: np.ndarray | None = field(default=None, repr=False)
+    """Four vertex indices for each of the strips (P, 4) that fill the outline, wound as the faces; see
+    :py:meth:`mi_shlight.light.polygon.VertexList.fold_patches`."""
+    pieces: Pieces | None = field(default=None, repr=False)
+    """What a texture is cut into."""
 
     @property
-    def centroid(self) -> np.ndarray:
-        return self.vertices[self.start].mean(axis=0)
+    def is_polygon(self) -> bool:
+        """True if one polygon of uniform radiance stands for the light."""
+        return self.normal is not None and self.pieces is None
+
+    @property
+    def triangles(self) -> np.ndarray:
+        """What the light consists of if it is no polygon, (K, 3): corner points of the pieces, or vertices. Neighbours share theirs."""
+        return weld(self.vertices)[self.faces] if self.pieces is None else self.pieces.triangles
 
     @property
     def outline(self) -> np.ndarray:
-        """Boundary edges as points: (E, 2, 3)."""
-        return self.vertices[np.stack([self.start, self.end], axis=1)]
+        """Edges of all faces as points, (E, 2, 3), planar or not: how far the light has moved."""
+        return self.vertices[self.faces[:, [0, 1, 1, 2, 2, 0]]].reshape(-1, 2, 3)
+
+    @property
+    def polygons(self) -> list:
+        """What stands between points and their visibility: (edges as points (E, 2, 3), unit normal) of each planar polygon, one for a
+        planar light, otherwise one for each face; once for both sides.
+        """
+        if self.normal is not None:
+            return [(self.vertices[np.stack([self.start, self.end], axis=1)], self.normal)]
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return list(zip(self.outline.reshape(-1, 3, 2, 3), normals / np.where(length > 0, length, 1)))
 
 
 @dataclass
@@ -151,15 +168,15 @@ def keep_quiet(text: str) -> None:
 def polygon_lights(scene, complain=warn) -> list:
     """Polygonal area lights of a scene, in the scene's order.
 
-    Accepts ``shlight`` and ``area`` emitters on planar meshes (rectangles included). Other emitters are left out; `complain` is
-    called with a sentence about each, and about lights whose vertices are farther off a plane than `PLANARITY`.
+    Accepts ``shlight`` and ``area`` emitters on meshes (rectangles included). Other emitters are left out; `complain` is called with a
+    sentence about each, and about lights whose faces may hide one another, which is not modelled.
 
     Raises
     ------
     ValueError
-        If a light's mesh is bent by more than `BENT` of its extent or has no area, or if the scene has no polygonal light at all.
+        If a light's mesh has no area, or if the scene has no polygonal light at all.
     """
-    lights = []
+    shapes = []
     for shape in scene.shapes():
         if not shape.is_emitter():
             continue
@@ -168,25 +185,26 @@ def polygon_lights(scene, complain=warn) -> list:
             complain(f"emitter of shape '{name}' ({emitter.class_name()}): only 'shlight' and 'area' can be projected. It does not light "
                      "surfaces in this picture; replace it, or render with Mitsuba's 'path'.")
         elif not shape.is_mesh():
-            complain(f"emitter on shape '{name}' ({shape.class_name()}): only planar meshes and rectangles can be projected. It does not "
+            complain(f"emitter on shape '{name}' ({shape.class_name()}): only meshes and rectangles can be projected. It does not "
                      "light surfaces in this picture; replace it by a polygon of the same area, or render with Mitsuba's 'path'.")
         elif "MeshAttribute" in str(emitter):
             complain(f"emitter on shape '{name}': its radiance is a mesh attribute, which cannot be averaged. It does not "
                      "light surfaces in this picture; give it a uniform radiance or a bitmap.")
         else:
-            lights.append(_polygon_light(shape))
-            if lights[-1].textured:
-                complain(f"texture of emitter '{name}': the light is taken as uniform with the texture's mean radiance.")
-            if lights[-1].bend > PLANARITY:           # without a figure: Python shows equal texts once while an optimiser moves vertices
-                complain(f"light '{name}': vertices lie more than {PLANARITY:g} of its extent off a plane. It is shaded by its outline, "
-                         "exact only where all faces are seen from the front; keep it planar, or split it into planar lights.")
+            shapes.append(shape)
+    lights = [_polygon_light(shape) for shape in shapes]
+    for light in lights:
+        if light.normal is None and (light.two_sided or not is_convex(light.faces[:, ::-1], light.vertices, PLANARITY)):
+            # without a figure: Python shows equal texts once while an optimiser moves vertices
+            complain(f"light '{light.name}': its faces hide one another from some points (it is not convex, or it has two sides), which is "
+                     "not modelled: such points get too much light. Use convex meshes that emit outwards.")
     for emitter in scene.emitters():
         if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
             complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. It does not light "
                      "surfaces in this picture; remove it, or render with Mitsuba's 'path'.")
     if not lights:
         raise ValueError("shprt: 'scene' must have at least one polygonal area light, got none. Put <emitter type=\"shlight\"> or "
-                         "<emitter type=\"area\"> inside a rectangle or a planar mesh.")
+                         "<emitter type=\"area\"> inside a rectangle or a mesh.")
     return lights
 
 
@@ -229,73 +247,54 @@ def content_hash(shape, two_sided: bool) -> str:
     return digest.hexdigest()
 
 
-def weld(positions: np.ndarray) -> np.ndarray:
-    """One number for all vertices at equal positions, as meshes often repeat them per face."""
-    return np.unique(positions, axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def boundary_edges(faces: np.ndarray, positions: np.ndarray) -> tuple:
-    """Directed edges of a mesh that no other face shares: arrays of start and end vertex indices. Welded vertices count as one."""
-    welded = weld(positions)
-    start = faces.ravel()
-    end = np.roll(faces, -1, axis=1).ravel()
-    a, b = welded[start], welded[end]
-    count = int(welded.max()) + 1
-    boundary = ~np.isin(a * count + b, b * count + a) & (a != b)
-    return start[boundary], end[boundary]
-
-
-def strips(start: np.ndarray, end: np.ndarray, faces: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Corners (P, 4) of the strips that fill a polygon: cut across from its outline if that is one loop, otherwise its triangles."""
-    welded = weld(positions)
-    following = dict(zip(welded[start].tolist(), range(len(start))))
-    loop, edge = [], 0
-    while len(loop) < len(start):
-        loop.append(int(start[edge]))
-        edge = following.get(int(welded[end[edge]]))
-        if not edge:                                  # back at the first edge, or at a loose end
-            break
-    n = len(loop)
-    if n == len(start) == len(following) and edge == 0:
-        return np.array([[loop[k] for k in strip_corners(i, n)] for i in range(strip_count(n))])
-    return faces[:, [0, 1, 1, 2]]
-
-
 def _polygon_light(shape) -> PolygonLight:
     faces, positions, _, _ = mesh_arrays(shape)
     positions = positions.astype(np.float64)
     corners = positions[faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    present = np.linalg.norm(areas, axis=1) > 0
+    if not present.any() or not np.isfinite(corners).all():
+        raise ValueError(f"shprt: light '{shape_name(shape)}' must be a mesh with finite vertices and an area, got one without. Repair it.")
+    emitter = shape.emitter()
+    uv = _texture_coordinates(shape, faces)
+    # Mitsuba decides which side emits: flip_normals and mirroring transforms turn it away from the winding. This is a point of the first
+    # face that has an area.
+    side = np.ravel(np.array(shape.sample_position(0, mi.Point2f(0.5, 0)).n))
+    if areas[np.argmax(present)] @ side > 0:
+        faces, uv = faces[:, ::-1], uv[:, ::-1]
+    else:
+        areas = -areas
+    textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
+    light = PolygonLight(shape_name(shape), shape, emitter, positions, faces, uv, getattr(emitter, "two_sided", False), textured,
+                         _common_normal(corners.reshape(-1, 3), areas))
+    if light.normal is not None:
+        light.start, light.end = boundary_edges(faces, positions)
+        if len(light.start) < 3:                      # as of a sheet whose faces all stand there twice
+            light.normal = None
+        else:
+            light.patches = strips(light.start, light.end, faces, positions)
+    subdivisions = getattr(emitter, "subdivisions", SUBDIVISIONS)
+    if textured and (subdivisions > 1 or light.normal is None):
+        light.pieces = cut(faces, positions, uv, subdivisions)
+    return light
+
+
+def _texture_coordinates(mesh, faces: np.ndarray) -> np.ndarray:
+    """(F, 3, 2) at the corners of the faces; Mitsuba's own choice, barycentric, where the mesh has none."""
+    if mesh.has_vertex_texcoords():
+        return np.array(mesh.vertex_texcoords_buffer()).reshape(-1, 2).astype(np.float64)[faces]
+    return np.broadcast_to([[0.0, 0], [1, 0], [0, 1]], (len(faces), 3, 2))
+
+
+def _common_normal(points: np.ndarray, areas: np.ndarray):
+    """Unit normal of a planar mesh with all faces turned the same way, given their corners and vector areas; otherwise None."""
     normal = areas.sum(axis=0)
     length = np.linalg.norm(normal)
-    extent = np.ptp(positions, axis=0).max() if len(positions) else 0.0
-    fault = None
-    if not np.isfinite(positions).all() or extent == 0 or not length > 0:
-        fault = "a closed one or one without area"
-    else:
-        normal /= length
-        points = corners.reshape(-1, 3)
-        bend = float(np.abs((points - points.mean(axis=0)) @ normal).max() / extent)
-        start, end = boundary_edges(faces, positions)
-        if bend > BENT:
-            fault = f"vertices up to {bend:.3g} of its extent off the plane"
-        elif (areas @ normal < 0).any():
-            fault = "faces wound both ways"
-        elif len(start) < 3:
-            fault = "one without an outline"
-    if fault:
-        raise ValueError(f"shprt: light '{shape_name(shape)}' must be a planar polygon (all faces wound the same way, vertices within "
-                         f"{BENT:g} of its extent of one plane), got {fault}. Split it into planar lights, one shape each, or "
-                         "repair its mesh.")
-    emitter = shape.emitter()
-    textured = mi.has_flag(emitter.flags(), mi.EmitterFlags.SpatiallyVarying)
-    # Mitsuba decides which side emits: flip_normals and mirroring transforms turn it away from the winding.
-    if np.ravel(np.array(shape.sample_position(0, mi.Point2f(0.5)).n)) @ normal > 0:
-        start, end, faces = end, start, faces[:, ::-1]
-    else:
-        normal = -normal
-    return PolygonLight(shape_name(shape), shape, emitter, start, end, strips(start, end, faces, positions), positions, normal, bend,
-                        textured)
+    if not length > 0:
+        return None
+    normal /= length
+    bend = np.abs((points - points.mean(axis=0)) @ normal).max() / np.ptp(points, axis=0).max()
+    return normal if bend <= PLANARITY and (areas @ normal >= 0).all() else None
 
 
 def _diffuse_support(bsdf) -> tuple:
@@ -331,115 +330,6 @@ def _reflects_nothing(bsdf) -> bool:
     return not dr.any(mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si)) != 0, axis=None)
 
 
-class LightTable:
-    """Lights of a scene as flat Dr.Jit buffers for symbolic loops.
-
-    What depends on the lights' topology alone is made once; :py:meth:`attached` adds what a user may change or differentiate between
-    renders.
-    """
-
-    DRJIT_STRUCT = dict.fromkeys(("start", "end", "ends", "first_edge", "patches", "first_patch", "_emitters", "_surface"), object)
-    """Buffers that `dr.freeze` must know of, as it has to of all that an integrator holds."""
-
-    def __init__(self, lights: list):
-        self.count = len(lights)
-        self._lights = lights
-        offsets = np.cumsum([0] + [light.shape.vertex_count() for light in lights])
-        ends = np.concatenate([np.stack([light.start, light.end], axis=1) + o for light, o in zip(lights, offsets)])
-        self.start, self.end, self.ends = _index(ends[:, 0]), _index(ends[:, 1]), _index(ends.ravel())
-        self.first_edge = _index(np.cumsum([0] + [len(light.start) for light in lights]))
-        self.patches = _index(np.concatenate([light.patches.ravel() + o for light, o in zip(lights, offsets)]))
-        self.first_patch = _index(np.cumsum([0] + [len(light.patches) for light in lights]))
-        self._emitters = _index([dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(light.emitter))[0] for light in lights])
-        self._samples = RADIANCE_SAMPLES if any(light.textured for light in lights) else 1
-        self._surface = self._surface_points()
-        self.positions = self.centroid = self.normal = self._radiance = None
-
-    def attached(self) -> "LightTable":
-        """A copy with the current vertex positions and radiance, which carry derivatives if derivatives are on."""
-        table = copy.copy(self)
-        table.positions = dr.concat([light.shape.vertex_positions_buffer() for light in self._lights])
-        table.centroid, table.normal = self._planes(dr.detach(table.positions))
-        if not mi.is_spectral:
-            table._radiance = dr.ravel(self._mean_radiance(dr.arange(mi.UInt32, self.count), None))
-        return table
-
-    def outlines(self):
-        """Start and end of all edges: flat x, y, z, without derivatives."""
-        points = dr.ravel(dr.gather(mi.Point3f, dr.detach(self.positions), self.ends))
-        dr.eval(points)
-        return points
-
-    def edges(self, light, x, active) -> EdgeBuffer:
-        """Edges and strips of light number `light` for the points that it lights: none where `x` lies behind it or `active` is false."""
-        facing = dr.dot(dr.gather(mi.Vector3f, self.normal, light), dr.detach(x) - dr.gather(mi.Point3f, self.centroid, light)) > 0
-
-        def owned(table):
-            first, last = dr.gather(mi.UInt32, table, light), dr.gather(mi.UInt32, table, light + 1)
-            return first, dr.select(active & facing, last, first)
-
-        return EdgeBuffer(self.positions, self.start, self.end, *owned(self.first_edge), (self.patches, *owned(self.first_patch)),
-                          all(len(light.patches) == 1 for light in self._lights))
-
-    def apex(self, light, x):
-        """Unit vector from `x` into the light: apex of the solid angle's fan."""
-        middle = direction(dr.gather(mi.Point3f, self.centroid, light) - dr.detach(x))
-        return apex_direction(middle, dr.gather(mi.Vector3f, self.normal, light), -1)
-
-    def radiance(self, light, wavelengths):
-        """Emitted radiance of light number `light`, averaged over its area; unpolarised spectrum."""
-        if self._radiance is None:
-            return self._mean_radiance(light, wavelengths)
-        return dr.gather(_spectrum_type(), self._radiance, light)
-
-    def _planes(self, positions) -> tuple:
-        """Mean corner of each light's outline, and its mean normal, on the side that emits: flat x, y, z."""
-        vertex = lambda table, e: dr.gather(mi.Vector3f, positions, dr.gather(mi.UInt32, table, e))
-        light = dr.arange(mi.UInt32, self.count)
-        first, last = dr.gather(mi.UInt32, self.first_edge, light), dr.gather(mi.UInt32, self.first_edge, light + 1)
-        origin = vertex(self.start, first)
-
-        def body(e, last, total, area, origin):
-            a, b = vertex(self.start, e) - origin, vertex(self.end, e) - origin
-            return e + 1, last, total + a, area + dr.cross(a, b), origin
-
-        state = first, last, mi.Vector3f(0), mi.Vector3f(0), origin
-        _, _, total, area, _ = dr.while_loop(state, lambda e, last, *_: e < last, body, mode="symbolic")
-        planes = dr.ravel(origin + total / mi.Float(last - first)), dr.ravel(-direction(area))
-        dr.eval(planes)
-        return planes
-
-    def _surface_points(self) -> dict:
-        """Area-uniform stratified points of each light as a flat table: what a radiance texture is looked up with."""
-        side = int(self._samples ** 0.5)
-        cell = dr.arange(mi.UInt32, self._samples)
-        sample = (mi.Point2f(cell % side, cell // side) + 0.5) / side
-        points = [light.shape.sample_position(0, sample) for light in self._lights]
-        broadcast = lambda v: v + dr.zeros(type(v), self._samples)
-        return {name: aligned(mi.Float, np.concatenate([np.array(broadcast(getattr(p, name))).T.ravel() for p in points]))
-                for name in ("p", "n", "uv")}
-
-    def _mean_radiance(self, light, wavelengths):
-        def body(i, total, light, wavelengths):
-            si = dr.zeros(mi.SurfaceInteraction3f)
-            row = light * self._samples + i
-            si.p = dr.gather(mi.Point3f, self._surface["p"], row)
-            si.n = dr.gather(mi.Normal3f, self._surface["n"], row)
-            si.sh_frame = mi.Frame3f(si.n)
-            si.uv = dr.gather(mi.Point2f, self._surface["uv"], row)
-            si.wi = mi.Vector3f(0, 0, 1)
-            if wavelengths is not None:
-                si.wavelengths = wavelengths
-            emitter = dr.reinterpret_array(mi.EmitterPtr, dr.gather(mi.UInt32, self._emitters, light))
-            return i + 1, total + mi.unpolarized_spectrum(emitter.eval(si)), light, wavelengths
-
-        state = (mi.UInt32(0), _spectrum_type()(0), light, wavelengths)
-        if self._samples == 1:
-            return body(*state)[1]
-        return dr.while_loop(state, lambda i, *_: i < self._samples, body, mode="symbolic",
-                             max_iterations=-1)[1] / self._samples
-
-
 def aligned(kind, values: np.ndarray):
     """Device copy of a numpy array. Dr.Jit would alias numpy's memory, whose alignment changes and doubles the kernels in the
     cache.
@@ -451,11 +341,3 @@ def aligned(kind, values: np.ndarray):
     dr.eval(copy)
     dr.sync_thread()
     return copy
-
-
-def _index(values) -> "mi.UInt32":
-    return mi.UInt32([int(v) for v in values])
-
-
-def _spectrum_type():
-    return type(mi.unpolarized_spectrum(mi.Spectrum(0)))

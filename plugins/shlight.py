@@ -3,8 +3,8 @@
 
 A diffuse light on the outside of a shape, with the radiometry of Mitsuba's ``area``: under ``path``, ``direct``,
 ``volpath``, ``prb`` and ``ptracer`` both give the same image. The integrator ``shprt`` projects a light on a rectangle
-or a planar polygon mesh analytically to spherical harmonics; it accepts ``area`` lights too, so this plugin marks the
-lights of a scene as meant for it rather than adding anything to what they emit.
+or a polygon mesh analytically to spherical harmonics; it accepts ``area`` lights too. This plugin adds light from both
+sides, and how finely a texture is resolved there.
 
 .. pluginparameters::
 
@@ -13,6 +13,17 @@ lights of a scene as meant for it rather than adding anything to what they emit.
    - Emitted radiance in W/(m^2 sr), per nanometre in spectral variants. A number stands for white (D65).
      (Default: 1)
    - |exposed|, |differentiable|
+
+ * - two_sided
+   - |bool|
+   - Emit the same radiance on the inside of the shape, too. (Default: false)
+
+ * - subdivisions
+   - |int|
+   - Number of triangles of uniform radiance into which ``shprt`` cuts the light if its radiance is a texture, 1 to 65536;
+     of no effect on other lights and under other integrators. The nearest number that makes a grid is taken: of
+     2 a b triangles on a rectangle, with cells nearly square, otherwise of s^2 on each face of the mesh. 1 stands for
+     the texture's mean on a planar light as a whole, which is as fast as a light without texture. (Default: 128)
 
  * - sampling_weight
    - |float|
@@ -53,7 +64,8 @@ from __future__ import annotations
 
 import textwrap
 
-from ..errors import check_parameters, message
+from ..errors import check_integer, check_parameters, message
+from ..light.cut import SUBDIVISIONS
 
 
 class DetachedLightError(RuntimeError):
@@ -118,7 +130,12 @@ def build():
                     "The light takes the place and size of its shape: move 'to_world' to the shape."))
             super().__init__(props)
             self.radiance = self._read_radiance(props)
-            check_parameters("shlight", props, ("radiance", "sampling_weight"), props.unqueried())
+            self.two_sided = props.get("two_sided", False)
+            if not isinstance(self.two_sided, bool):
+                raise TypeError(message("shlight", "two_sided", "be true or false", self.two_sided))
+            self.subdivisions = check_integer("shlight", "subdivisions", props.get("subdivisions", SUBDIVISIONS), 1, 65536,
+                                              "It is a number of triangles.")
+            check_parameters("shlight", props, ("radiance", "two_sided", "subdivisions", "sampling_weight"), props.unqueried())
             # Not yet `Surface`: a scene silently drops a surface emitter that no shape brings in. See `surface`.
             self.m_flags = int(mi.EmitterFlags.SpatiallyVarying if self.radiance.is_spatially_varying()
                                else mi.EmitterFlags.Empty)
@@ -154,15 +171,19 @@ def build():
             super().traverse(callback)
             callback.put("radiance", self.radiance, mi.ParamFlags.Differentiable)
 
+        def emitted_cosine(self, cosine):
+            """Cosine between the direction of emission and the normal of the side that emits, 0 or less where none does."""
+            return abs(cosine) if self.two_sided else cosine
+
         def eval(self, si, active=True):
-            emits = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            emits = active & (self.emitted_cosine(mi.Frame3f.cos_theta(si.wi)) > 0)
             return mi.depolarizer(self.radiance.eval(si, active)) & emits
 
         def sample_direction(self, it, sample, active=True):
             shape = self.surface()
             if not self.radiance.is_spatially_varying():
                 ds = shape.sample_direction(it, sample, active)
-                active = active & (dr.dot(ds.d, ds.n) < 0) & (ds.pdf != 0)
+                active = active & (self.emitted_cosine(-dr.dot(ds.d, ds.n)) > 0) & (ds.pdf != 0)
                 si = mi.SurfaceInteraction3f(ds, it.wavelengths)
             else:
                 ds, si, active = self._sample_texture_direction(shape, it, sample, active)
@@ -183,7 +204,7 @@ def build():
             squared_distance = dr.squared_norm(ds.d)
             ds.dist = dr.sqrt(squared_distance)
             ds.d = quotient(ds.d, ds.dist)
-            cosine = -dr.dot(ds.d, ds.n)
+            cosine = self.emitted_cosine(-dr.dot(ds.d, ds.n))
             active = active & (cosine > 0)
             ds.pdf = dr.select(active, quotient(density * squared_distance, cosine), 0)
             return ds, si, active
@@ -198,7 +219,7 @@ def build():
 
         def pdf_direction(self, it, ds, active=True):
             shape = self.surface()
-            cosine = -dr.dot(ds.d, ds.n)
+            cosine = self.emitted_cosine(-dr.dot(ds.d, ds.n))
             active = active & (cosine > 0)
             if not self.radiance.is_spatially_varying():
                 density = shape.pdf_direction(it, ds, active)
@@ -210,12 +231,16 @@ def build():
             return dr.select(active, density, 0)
 
         def eval_direction(self, it, ds, active=True):
-            active = active & (dr.dot(ds.d, ds.n) < 0)
+            active = active & (self.emitted_cosine(-dr.dot(ds.d, ds.n)) > 0)
             si = mi.SurfaceInteraction3f(ds, it.wavelengths)
             return mi.depolarizer(self.radiance.eval(si, active)) & active
 
         def sample_position(self, time, sample, active=True):
+            """A point of the emitting surface. Of a two-sided light both sides belong to it, and the normal tells which it is."""
             shape = self.surface()
+            if self.two_sided:
+                back = sample.x >= 0.5
+                sample = mi.Point2f(2 * sample.x - dr.select(back, mi.Float(1), 0), sample.y)
             if not self.radiance.is_spatially_varying():
                 ps = shape.sample_position(time, sample, active)
             else:
@@ -223,15 +248,20 @@ def build():
                 ps = mi.PositionSample3f(si)
                 ps.pdf = density
                 ps.delta = False
+            if self.two_sided:
+                ps.pdf *= 0.5
+                ps.n = dr.select(back, -ps.n, ps.n)
             return ps, dr.select(active & (ps.pdf > 0), quotient(1, ps.pdf), 0)
 
         def pdf_position(self, ps, active=True):
             shape = self.surface()
             if not self.radiance.is_spatially_varying():
-                return shape.pdf_position(ps, active)
-            si = shape.eval_parameterization(ps.uv, active=active)
-            density = quotient(self.radiance.pdf_position(ps.uv, active), dr.norm(dr.cross(si.dp_du, si.dp_dv)))
-            return dr.select(active & si.is_valid(), density, 0)
+                density = shape.pdf_position(ps, active)
+            else:
+                si = shape.eval_parameterization(ps.uv, active=active)
+                density = quotient(self.radiance.pdf_position(ps.uv, active), dr.norm(dr.cross(si.dp_du, si.dp_dv)))
+                density = dr.select(active & si.is_valid(), density, 0)
+            return density * 0.5 if self.two_sided else density
 
         def sample_wavelengths(self, si, sample, active=True):
             wavelengths, weight = self.radiance.sample_spectrum(si, wavelength_samples(sample), active)
@@ -253,7 +283,9 @@ def build():
             return self.surface().bbox()
 
         def to_string(self):
-            lines = [f"radiance = {self.radiance}"]
+            lines = [f"radiance = {self.radiance}", f"two_sided = {str(self.two_sided).lower()}"]
+            if self.radiance.is_spatially_varying():
+                lines.append(f"subdivisions = {self.subdivisions}")
             shape = self.get_shape()
             if shape is None:
                 lines.append("shape = none: it must be inside a shape to emit")

@@ -56,24 +56,29 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
    - Output the SH coefficients of the light at the visible points as AOVs ``L.l.m``, in steradians times the luminance of the
      radiance. (Default: false)
 
-Direct illumination of diffuse surfaces by uniform polygonal area lights: each light is projected to spherical harmonics in
+Direct illumination of diffuse surfaces by polygonal area lights: each light is projected to spherical harmonics in
 closed form at every shading point and multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x)
 \sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and Ramamoorthi 2018, equation 4). The picture is free of noise apart from pixel sampling;
 its error is the band limit of the transfer and, for ``vertex``, its interpolation.
 
-Lights are all emitters ``shlight`` and ``area`` on rectangles and planar meshes (holes and concave outlines included). They are
-one-sided and are seen directly with their radiance. A texture on a light is replaced by its mean. Up to four lights each have
-their own visibility, in which the other lights are obstacles; more than four share one, in which no light is.
+Lights are all emitters ``shlight`` and ``area`` on rectangles and meshes of any number of faces, and are seen directly with their radiance.
+Of a planar mesh of uniform radiance the outline is projected (holes and concave outlines included). Of any other, bent or closed, those
+faces count that turn their front to the point, and edges between two that do are left out; that a light's faces hide one another is not
+modelled, so meshes should be convex. A textured light is cut into triangles of uniform radiance, ``subdivisions`` of ``shlight``, whose
+edges are shared. Measured, the mean error of a floor under a light with waves on it, at half its width: 1.6 % cut in 2, 0.17 % in 32,
+0.03 % in 128, the default, 0.006 % in 512.
+Up to four lights each have their own visibility, in which the other lights are obstacles; more than four share one, in which no light is.
+In spectral variants the radiance of meshes and textures is interpolated between wavelengths 5 nm apart.
 
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
 normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
 
-Corners of a light need not lie in one plane: beyond 0.001 of the light's extent a warning names it, beyond 0.1 it is refused. It is shaded
-by its outline, which is exact for points that see all of its faces from the front.
+A light counts as planar if its vertices lie within 0.001 of its extent of a plane. An optimisation that bends it goes over from the outline
+to the faces, with the same picture where all of them are seen from the front, and for once compiles kernels anew.
 
 Differentiable through ``mi.render``, in forward and reverse mode and without noise beyond that of the pixel samples, with respect to
 
-- radiance and reflectance, spectra and textures (of a light by the texture's mean);
+- radiance and reflectance, spectra and textures (of a light by the means over its triangles);
 - ``vertex_positions`` of lights and the ``to_world`` of rectangles; soft shadows follow the light, to the band limit of the transfer;
 - the points seen: vertices and ``to_world`` of receivers and of the sensor; if ``unshadowed`` also the shading normals. (In forward mode
   Mitsuba loses the ``to_world`` of spheres, with its own integrators, too.)
@@ -119,10 +124,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
+from ..grid.cells import INTERPOLATIONS, MAX_RESOLUTION
+from ..light.mesh import mesh_shader, project_mesh_light, zonal_mesh_shader
 from ..light.project import METHODS, default_error, light_shader, project_light
 from ..light.quadrature import node_tables
 from ..light.zonal import times_pole_value, zonal_lambert, zonal_light_shader, zonal_shader
-from ..scene import Fingerprint, LightTable, polygon_lights, receivers, refuse, shape_index, warn
+from ..lights import LightTable
+from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
+from ..scene_grid import SceneGrid
 from ..sh.basis import check_order
 from ..transfer.bake import trace_transfer
 from ..transfer.cosine import cosine_transfer
@@ -133,7 +142,8 @@ from .shlight import check_attached
 DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
 
 DEFAULTS = {"order": 8, "method": "auto", "transfer": "shadowed", "transfer_domain": "vertex", "transfer_samples": 0,
-            "transfer_file": "", "max_edge": 0.0, "light_margin": 0.0, "strict": False, "coefficients": False}
+            "transfer_file": "", "max_edge": 0.0, "light_margin": 0.0, "grid_resolution": 0, "grid_interpolation": "hermite",
+            "grid_error": 1e-3, "strict": False, "coefficients": False}
 
 
 def read_parameters(props) -> dict:
@@ -148,6 +158,20 @@ def read_parameters(props) -> dict:
     value["transfer_samples"] = check_integer("shprt", "transfer_samples", value["transfer_samples"], 0, 65536, hint)
     for name in ("max_edge", "light_margin"):
         value[name] = check_number("shprt", name, value[name], 0, hint="It is a length in scene units.")
+    if value["grid_resolution"] != "auto":
+        hint = "It is a number of grid points along an axis; 0: no grid, 'auto': what costs least."
+        value["grid_resolution"] = check_integer("shprt", "grid_resolution", value["grid_resolution"], 0, MAX_RESOLUTION, hint)
+        if value["grid_resolution"] == 1:
+            raise ValueError(message("shprt", "grid_resolution", "be 0, 'auto', or two or more", 1, hint))
+    if value["grid_resolution"] != 0 and mi.is_spectral:
+        raise ValueError(message("shprt", "grid_resolution", "be 0 in spectral variants", value["grid_resolution"],
+                                 "A grid holds sums over lights for a few channels. Use an rgb or mono variant."))
+    check_choice("shprt", "grid_interpolation", value["grid_interpolation"], INTERPOLATIONS)
+    hint = "It is a relative error; 0 interpolates all lights."
+    value["grid_error"] = check_number("shprt", "grid_error", value["grid_error"], 0, 1, hint)
+    if value["grid_resolution"] == "auto" and value["grid_error"] == 0:
+        rule = "be above 0 with grid_resolution='auto', which chooses by it"
+        raise ValueError(message("shprt", "grid_error", rule, value["grid_error"], "For instance 1e-3."))
     for name in ("strict", "coefficients"):
         if not isinstance(value[name], bool):
             raise TypeError(message("shprt", name, "be true or false", value[name]))
@@ -168,7 +192,8 @@ def read_parameters(props) -> dict:
 class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
-    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "occluders", "table", "bake_lights", "lookup"), object)
+    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "polygons", "meshes", "occluders", "table", "bake_lights", "lookup",
+                                  "grid"), object)
 
     def __init__(self, scene, strict: bool, seen: Fingerprint):
         self.seen = seen
@@ -186,8 +211,16 @@ class SceneState:
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
         self.table = LightTable(self.lights)
+        # bounds of each group among the polygons and the lights of triangles
+        self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
+        self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
         self.bake_lights = BakeLights(self.lights, 0.0)
-        self.lookup = None
+        self.lookup = self.grid = None
+
+    def make_grid(self, resolution, interpolation: str, max_error: float, order: int, method: str) -> None:
+        """Set up the light grid."""
+        facets = self.table.first_facet[light_groups(len(self.lights))]
+        self.grid = SceneGrid(self.receivers, facets, resolution, interpolation, max_error, order, method)
 
     def flag(self, table, shape, active):
         """Entry of a per-shape table at a hit, as a mask."""
@@ -249,6 +282,8 @@ def build():
             if old is None or (old.seen.geometry, old.seen.lights) != (seen.geometry, seen.lights):
                 check_attached(scene)
                 self._state = SceneState(scene, self.strict, seen)
+                if self.grid_resolution:
+                    self._state.make_grid(self.grid_resolution, self.grid_interpolation, self.grid_error, self.order, self.method)
             if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             if self._state.lookup is None:
@@ -286,97 +321,145 @@ def build():
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
                 table = self._state.table.attached()
-                reflected = self._reflected(table, pi, si, sampler, valid)
+                nodes = self._grid_nodes(table, dr.width(ray))
+                reflected = self._reflected(table, nodes, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
-                aovs = self._coefficients(table, si, valid) if self.coefficients else []
+                aovs = self._coefficients(table, nodes, si, valid) if self.coefficients else []
                 return mi.depolarizer(reflected) + emitted, valid, aovs, None
 
-        def _reflected(self, table, pi, si, sampler, valid):
+        def _grid_nodes(self, table, points: int):
+            """What the light grid holds for this picture, or None without a grid."""
+            grid = self._state.grid
+            if grid is None:
+                return None
+            if not dr.flag(dr.JitFlag.FreezingScope):
+                with dr.suspend_grad():
+                    grid.prepare(table.facets.detached(), points)
+            return grid.nodes(table.facets)
+
+        def _reflected(self, table, nodes, pi, si, sampler, valid):
             """Light scattered towards the camera; unpolarised spectrum."""
             state = self._state
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             n = dr.select(front, si.sh_frame.n, -si.sh_frame.n)
-            shader_of = self._shader_source(table, pi, si, n, ~front, sampler, lit)
-            irradiance = self._lighting(table, shader_of, si, n, lit)
+            shading_of = self._shading_source(table, pi, si, n, ~front, sampler, lit)
+            irradiance = self._lighting(table, nodes, shading_of, si, n, lit)
             return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
 
-        def _shader_source(self, table, pi, si, n, back_side, sampler, lit):
-            """Function from a light group's number to the shader that meets the group's lights with the transfer at each hit.
+        def _shading_source(self, table, pi, si, n, back_side, sampler, lit):
+            """Function from a light group's number to the transfer at each hit, and the shaders, for polygons and for meshes, that meet the
+            group's lights with it.
 
-            A shader is given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
+            All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
             """
             if self.transfer == "unshadowed":
-                shade = self._unshadowed_shader(n)
-                return lambda g, first, last: shade
+                shading = lambda n: cosine_transfer(n, self.order), *self._unshadowed_shaders(n)
+                return lambda g, first, last: shading
             state, lookup, traced, p, n = self._state, None, lit, dr.detach(si.p), dr.detach(n)
             if self.transfer_domain == "vertex":
                 lookup = state.lookup
                 rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
                 traced = lit & ~baked
             if lookup is None or not state.all_baked:
-                shift, lights = sampler.next_2d(lit), state.bake_lights.at(table.outlines(), table.normal)
+                shift, lights = sampler.next_2d(lit), state.bake_lights.at(*table.outlines())
                 samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
-            def shader_of(g, first, last):
+            def shading_of(g, first, last):
                 coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
                 if lookup is None or not state.all_baked:
                     by_rays = shadowed_transfer(state.occluders, lights, (first, last), p, n, self.order, samples,
                                                 shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
-                shade = light_shader([dr.detach(t) for t in coeffs], self.order, self.method)
-                return lambda light, x, apex, n: shade(light, x, apex)
+                coeffs = [dr.detach(t) for t in coeffs]
+                shade, shade_mesh = light_shader(coeffs, self.order, self.method), mesh_shader(coeffs, self.order, self.method)
+                return lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x)
 
-            return shader_of
+            return shading_of
 
-        def _unshadowed_shader(self, n):
-            """Shader for hits with normal `n` where nothing casts shadows."""
+        def _unshadowed_shaders(self, n):
+            """Shaders for hits with normal `n` where nothing casts shadows."""
             weights = times_pole_value(zonal_lambert(self.order))       # symmetric about n: order + 1 numbers instead of (order + 1)^2
             by_zones = zonal_shader if self.method == "edge" else zonal_light_shader
             zonal = lambda light, x, apex, n: by_zones(n, weights)(light, x, apex)
             if self.method in ("auto", "edge"):
-                return zonal
-            full = light_shader(cosine_transfer(dr.detach(n), self.order), self.order, self.method)
+                return zonal, zonal_mesh_shader(weights, self.method)
+            transfer = cosine_transfer(dr.detach(n), self.order)
+            full, full_mesh = (make(transfer, self.order, self.method) for make in (light_shader, mesh_shader))
             if not dr.grad_enabled(n):
-                return lambda light, x, apex, n: full(light, x, apex)
+                return lambda light, x, apex, n: full(light, x, apex), lambda light, x, n: full_mesh(light, x)
 
             def shade(light, x, apex, n):
                 turned = zonal(light.detached(), dr.detach(x), apex, n)
                 return full(light, x, apex) + dr.replace_grad(mi.Float(0), turned)
 
-            return shade
+            def shade_mesh(light, x, n):
+                value, turned = full_mesh(light, x), zonal_mesh_shader(weights)(light.detached(), dr.detach(x), n)
+                return value + dr.replace_grad(type(value)(0), turned)
 
-        def _lighting(self, table, shader_of, si, n, lit):
+            return shade, shade_mesh
+
+        def _lighting(self, table, nodes, shading_of, si, n, lit):
             """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
-            groups, group_count, wavelengths = self._state.groups, self._state.group_count, si.wavelengths
+            state, wavelengths, Spectrum = self._state, si.wavelengths, table.spectrum
+            meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
+
+            def each(body, first, last, x, n):
+                step = lambda k, total, x, n: (k + 1, total + body(k, x, n), x, n)
+                return dr.while_loop((first, Spectrum(0), x, n), lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1]
 
             def group_body(g, total, x, n):
-                first, last = dr.gather(mi.UInt32, groups, g), dr.gather(mi.UInt32, groups, g + 1)
-                shade = shader_of(g, first, last)
+                bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
+                transfer, shade, shade_mesh = shading_of(g, *bounds(state.groups))
+                if nodes is not None:
+                    return g + 1, total + Spectrum(*nodes.shade(x, transfer(n), shade, g, lit, (n,))), x, n
 
-                def light_body(k, total, x, n):
-                    value = shade(table.edges(k, x, lit), x, table.apex(k, x), n)
-                    return k + 1, total + table.radiance(k, wavelengths) * value, x, n
+                def polygon(i, x, n):
+                    k = table.polygon(i)
+                    return table.radiance(k, wavelengths) * shade(table.facets.edges(k, x, lit), x, table.facets.apex(k, x), n)
 
-                _, *state = dr.while_loop((first, total, x, n), lambda k, *_: k < last, light_body, mode="symbolic",
-                                          max_iterations=-1)
-                return g + 1, *state
+                def mesh(k, x, n):
+                    value = shade_mesh(meshes.part(k), x, n)
+                    return Spectrum(value) if dr.depth_v(value) == 1 else Spectrum(*value)
 
-            zero = table.radiance(mi.UInt32(0), wavelengths) * 0
-            start = (mi.UInt32(0), zero, mi.Point3f(si.p), mi.Normal3f(n))
-            return dr.while_loop(start, lambda g, *_: g < group_count, group_body, mode="symbolic", max_iterations=-1)[1]
+                if len(table.polygons):
+                    total = total + each(polygon, *bounds(state.polygons), x, n)
+                if meshes:
+                    total = total + each(mesh, *bounds(state.meshes), x, n)
+                return g + 1, total, x, n
 
-        def _coefficients(self, table, si, valid):
+            start = (mi.UInt32(0), Spectrum(0), mi.Point3f(si.p), mi.Normal3f(n))
+            return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
+
+        def _coefficients(self, table, nodes, si, valid):
             """SH coefficients of all lights at the hits, weighted by the luminance of their radiance."""
             wavelengths = si.wavelengths
+            weigh = lambda radiance: luminance(radiance, wavelengths)
+            if nodes is not None:
+                groups = [nodes.eval(mi.Point3f(si.p), mi.UInt32(g), valid) for g in range(self._state.group_count)]
+                return [sum(weigh(table.spectrum(*colour)) for colour in colours) for colours in zip(*groups)]
 
-            def body(k, total, x):
-                coeffs = project_light(table.edges(k, x, valid), x, table.apex(k, x), self.order, self.method)
-                weight = luminance(table.radiance(k, wavelengths), wavelengths)
-                return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
+            def each(body, count):
+                def step(k, total, x):
+                    weight, coeffs = body(k, x)
+                    return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
 
-            start = (mi.UInt32(0), [mi.Float(0) for _ in range((self.order + 1) ** 2)], mi.Point3f(si.p))
-            return dr.while_loop(start, lambda k, *_: k < table.count, body, mode="symbolic", max_iterations=-1)[1]
+                start = (mi.UInt32(0), [mi.Float(0) for _ in range((self.order + 1) ** 2)], mi.Point3f(si.p))
+                return dr.while_loop(start, lambda k, *_: k < count, step, mode="symbolic", max_iterations=-1)[1]
+
+            def polygon(i, x):
+                k = table.polygon(i)
+                coeffs = project_light(table.facets.edges(k, x, valid), x, table.facets.apex(k, x), self.order, self.method)
+                return weigh(table.radiance(k, wavelengths)), coeffs
+
+            sums = []
+            if len(table.polygons):
+                sums.append(each(polygon, len(table.polygons)))
+            if len(table.meshes):
+                meshes = table.mesh_light(wavelengths, weigh)
+                mesh = lambda k, x: (1, project_mesh_light(meshes.part(k), x, self.order, self.method))
+                sums.append(each(mesh, len(table.meshes)))
+            return [sum(values) for values in zip(*sums)]
 
     for name in DEFAULTS:                             # read-only: a bake and its tables depend on them
         setattr(SHPRT, name, property(lambda self, name=name: self._parameters[name]))

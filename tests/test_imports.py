@@ -11,13 +11,15 @@ LAYERS = (
     {"errors", "arrays", "files", "llvm"},
     {"sh"},
     {"light"},
+    {"grid"},
     {"scene"},
+    {"lights", "scene_grid"},
     {"transfer"},
     {"plugins"},
-    {"exr", "rendering", "panel", "compare"},
+    {"exr", "rendering", "panel", "compare", "motion", "animation"},
     {"cli", "__main__"},
 )
-USES_MITSUBA = {"scene", "transfer", "plugins", "rendering", "compare", "cli"}
+USES_MITSUBA = {"scene", "lights", "scene_grid", "transfer", "plugins", "rendering", "compare", "animation", "cli"}
 
 
 def modules():

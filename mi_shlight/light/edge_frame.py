@@ -30,6 +30,18 @@ summed over the edges. On the equator ``Y_lm = N_lm P_l^|m|(0) {cos, sin}(|m| (p
 The second cancels for short edges; it is taken from ``m h - sin(m h)``, whose second differences in m are positive. For shading the
 transfer is rotated to each edge's frame once, for the value and all derivatives.
 
+Derivatives of derivatives. Where x moves all corners move against it, which leaves of (3), as ``w_i + w_j = 1 / r`` at a point of the edge
+at the distance r, ``dL_lm / dx = sum_e n_e int Y_lm / r ds``. Where besides that the corners move, and points of the edge by r delta,
+``delta = w_i dv_i + w_j dv_j``, the light gains the area that the edge sweeps. Under the integral over that area, as (4) of
+:py:mod:`mi_shlight.light.quadrature` has it, the derivative by x becomes
+
+    d(dL_lm / dx) = sum_e int [ Y_lm c x delta + (grad Y_lm - 3 omega Y_lm) (n_e . delta) / r ] ds ,                         (5)
+
+with ``c = (v_j - v_i) / |v_i x v_j| = (1/r) tau - (1/r)' omega``, the same all along the edge. Term by term this is not the derivative of
+``n_e int Y_lm / r ds``: at the corners they differ by what the next edge takes away again. But all terms are of the size of the edge's
+angle, where the turn of n_e is not, and there is no angle of n_e that would be undefined about the poles. As 1 / r, too, is linear in cos s
+and sin s, and the vector in brackets of the neighbouring bands (:py:func:`gradient_rows`), (4) at m - 1 and m + 1 is all it takes.
+
 Derived for this package; not in the papers.
 """
 from __future__ import annotations
@@ -92,6 +104,32 @@ def constants(order: int) -> Constants:
     return Constants(tuple(slope), tuple(level), tuple(map(tuple, rows)), tuple(map(tuple, columns)))
 
 
+@functools.lru_cache(maxsize=None)
+def gradient_rows(order: int) -> tuple:
+    """x, y and z component of ``grad Y_lm - 3 omega Y_lm`` as combinations of the neighbouring bands: each rows as in
+    :py:class:`Constants`.
+
+    ``omega Y_lm = U + D`` with U in band l + 1 and D in band l - 1, and ``grad Y_lm = (l + 1) D - l U``, as ``r^l Y_lm`` and
+    ``Y_lm / r^(l + 1)`` are harmonic.
+    """
+    z, weights = np.polynomial.legendre.leggauss(order + 2)
+    azimuth = np.arange(2 * order + 4) * (math.pi / (order + 2))
+    ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)], axis=1)
+    rho = np.sqrt(1 - z * z)
+    directions = (np.stack([rho, rho, z], axis=1)[:, None] * ring).reshape(-1, 3)
+    basis = sh_matrix(directions, order + 1)
+    dual = basis * np.repeat(weights * (math.pi / (order + 2)), len(azimuth))[:, None]       # exact for all products
+    axes = []
+    for component in directions.T:
+        rows = []
+        for l in range(order + 1):
+            factors = {k * k + i: -l - 3 if k > l else l - 2 for k in (l - 1, l + 1) for i in range(2 * k + 1)}
+            shares = (basis[:, l * l:(l + 1) ** 2] * component[:, None]).T @ dual[:, list(factors)]
+            rows += [tuple((j, float(v) * factors[j]) for j, v in zip(factors, row) if abs(v) > 1e-9 and factors[j]) for row in shares]
+        axes.append(tuple(rows))
+    return tuple(axes)
+
+
 def project_edge(light, x, apex, order: int, active=True) -> list:
     """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
     coeffs = []
@@ -101,7 +139,10 @@ def project_edge(light, x, apex, order: int, active=True) -> list:
 
 
 def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
-    """``(coeffs, (dx, dy, dz))``: coefficients of `light` and their derivatives by `x`, in one pass over the edges ([W20] Algorithm 2)."""
+    """``(coeffs, (dx, dy, dz))``: coefficients of `light` and their derivatives by `x`, in one pass over the edges ([W20] Algorithm 2).
+
+    Both are differentiable with respect to the light's vertices and `x`, by (3) and (5).
+    """
     coeffs, gradient = [], ([], [], [])
     for bands in _bodies(order, 2):
         values, lines, width = _values(order, bands), _lines(order, bands), len(_flat(bands))
@@ -112,7 +153,7 @@ def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
             line = lines(frame, over_cosine(frame, inverse_i, inverse_j), [inverse_i + inverse_j, inverse_i - inverse_j])
             return values(v_i, v_j, apex) + [(n, value) for n in frame.normal for value in line]
 
-        total = light.sum(term, x, apex, 4 * width, active)
+        total = light.sum(_differentiable(term, _spatial_tangent(order, bands)), x, apex, 4 * width, active)
         coeffs += total[:width]
         for k, part in enumerate(gradient):
             part += total[(k + 1) * width:(k + 2) * width]
@@ -180,7 +221,9 @@ def _differentiable(term, tangent):
             return term(v_i, v_j, apex)
         start, end, apex = dr.detach(v_i), dr.detach(v_j), dr.detach(apex)
         slopes = tangent(start, end, apex, v_i - start, v_j - end)
-        return [value + dr.replace_grad(type(value)(0), slope) for value, slope in zip(term(start, end, apex), slopes)]
+        slopes = (dr.replace_grad(type(slope)(0), slope) for slope in slopes)
+        return [dr.fma(*value, slope) if isinstance(value, tuple) else value + slope
+                for value, slope in zip(term(start, end, apex), slopes)]
 
     return both
 
@@ -213,17 +256,24 @@ def _lines(order: int, bands: range):
     table = constants(order)
 
     def lines(frame, over_cos, factors):
-        (alpha, beta, phi), sines = _angles(frame, bands[-1])
-        even, odd = _line_integrals(frame, sines, over_cos * factors[0], factors[1], bands[-1])
-        local = [None] * (order + 1) ** 2
-        for l, m, i, j in _even(bands):
-            local[i] = dr.fma(even[m], phi[0][m], odd[m] * phi[1][m]) * table.level[i]
-            if m:
-                local[j] = dr.fma(even[m], phi[1][m], -(odd[m] * phi[0][m])) * table.level[i]
-        values = _to_world(table, local, alpha, beta, bands)
+        angles, sines = _angles(frame, bands[-1])
+        values = _along(table, *_line_integrals(frame, sines, over_cos * factors[0], -factors[1], bands[-1]), angles, bands)
         return [values[i] for i in _flat(bands)]
 
     return lines
+
+
+def _along(table: Constants, even: list, odd: list, angles: list, bands: range) -> list:
+    """``int f(s) Y_lm ds`` along an edge, some bands, in the world. ``even[m]``, ``odd[m]``: ``int f cos ms ds`` and ``int f sin ms ds``;
+    lists of None where they vanish by symmetry.
+    """
+    alpha, beta, (cosines, sines) = angles
+    local = [None] * len(table.level)
+    for l, m, i, j in _even(bands):
+        local[i] = _add(_add(None, odd[m], -sines[m]), even[m], cosines[m]) * table.level[i]
+        if m:
+            local[j] = _add(_add(None, odd[m], cosines[m]), even[m], sines[m]) * table.level[i]
+    return _to_world(table, local, alpha, beta, bands)
 
 
 def _tangent(order: int, bands: range):
@@ -240,6 +290,60 @@ def _tangent(order: int, bands: range):
         return slopes
 
     return tangent
+
+
+def _spatial_tangent(order: int, bands: range):
+    """Derivatives of the term of :py:func:`project_edge_spatial` along a displacement of the edge's ends: (3) and (5)."""
+    around = range(max(bands[0] - 1, 0), bands[-1] + 2)
+    nothing = [None] * (order + 3)
+
+    def tangent(v_i, v_j, apex, by_i, by_j):
+        table, rows = constants(order + 1), gradient_rows(order)
+        frame = edge_frame(v_i, v_j)
+        most = 1e15 if dr.epsilon(v_i) > 1e-10 else 1e150                     # its square is finite
+        inverse_i, inverse_j = (dr.minimum(inverse_length(v), most) for v in (v_i, v_j))
+        over_cos = dr.minimum(over_cosine(frame, inverse_i, inverse_j), most / dr.maximum(inverse_i, inverse_j))
+        # A point of the edge moves by its distance times cos s even_shift + sin s / (2 sin h) odd_shift.
+        by_i, by_j = by_i * inverse_i, by_j * inverse_j
+        even_shift, odd_shift = (by_i + by_j) * over_cos, by_j - by_i
+        # 1 / distance = even cos s + odd sin s
+        usable = frame.arc > 0
+        even, difference = (inverse_i + inverse_j) * over_cos, _inverse_difference(v_i, v_j, inverse_i, inverse_j)
+        odd = dr.select(usable, dr.clip(0.5 * difference / dr.select(usable, frame.sin_half, 1), -most, most), 0)
+        side = dr.cross(frame.normal, frame.middle) * even - frame.middle * odd
+
+        angles, sines = _angles(frame, around[-1] + 1)
+        cosine, sine = _line_integrals(frame, sines, 1, 1, around[-1] + 1)    # f = cos s, f = sin s / (2 sin h)
+        cos_cos, cos_sin, sin_sin = [], [], []                                # twice those times cos s, .. and sin s
+        for m in range(around[-1] + 1):
+            before = sine[m - 1] if m else -sine[1]
+            cos_cos.append(cosine[abs(m - 1)] + cosine[m + 1])
+            cos_sin.append(before + sine[m + 1])
+            sin_sin.append(sine[m + 1] - before)
+        times = lambda factor, values: [0.5 * factor * value for value in values]
+        by_even, by_odd = (_along(table, *parts, angles, bands) for parts in ((cosine, nothing), (nothing, sine)))
+        over_even = _along(table, times(even, cos_cos), times(difference, cos_sin), angles, around)
+        over_odd = _along(table, times(odd, sin_sin), times(even, cos_sin), angles, around)
+
+        across = [dr.dot(frame.normal, shift) for shift in (even_shift, odd_shift)]
+        turn = [dr.cross(side, shift) for shift in (even_shift, odd_shift)]
+        mixed = lambda i, p, q: dr.fma(by_even[i], p, by_odd[i] * q)
+        slopes = [-mixed(i, *across) for i in _flat(bands)]
+        if bands[0] == 0:
+            slopes[0] = dr.select(dr.squared_norm(apex) > 0, slopes[0], 0)
+        swept = [None if p is None else dr.fma(p, across[0], q * across[1]) for p, q in zip(over_even, over_odd)]
+        for k in range(3):
+            rest = _product(rows[k], swept, bands)
+            slopes += [mixed(i, turn[0][k], turn[1][k]) + rest[i] for i in _flat(bands)]
+        return slopes
+
+    return tangent
+
+
+def _inverse_difference(v_i, v_j, inverse_i, inverse_j):
+    """``inverse_j - inverse_i`` of vectors of nearly equal length without cancellation: of the difference of the squares."""
+    least, most = dr.minimum(inverse_i, inverse_j), dr.maximum(inverse_i, inverse_j)
+    return most * dr.dot((v_i - v_j) * least, (v_i + v_j) * least) / (1 + least / most)
 
 
 def _shading(transfer: list, order: int, bands: range, value=True, gradients=True):

@@ -1,4 +1,4 @@
-"""Coefficients together with their derivatives, without autodiff: by every vertex of the light, or by the shading point."""
+"""Coefficients together with their analytic derivatives: by every vertex of the light, or by the shading point."""
 from __future__ import annotations
 
 import drjit as dr
@@ -51,6 +51,7 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     sum ``sum_lm T_lm L_lm`` alone use :py:func:`mi_shlight.shade_polygon_gradient`, for reverse mode :py:func:`mi_shlight.shade_polygon`.
     """
     n, light, x, apex = _arguments("project_polygon_gradient", vertices, x, order, method)
+    light, x = light.detached(), dr.detach(x)
     max_error = default_error(x)
     if method == "quadrature":
         coeffs, rows = project_quadrature(light, x, n, max_error), project_quadrature_lines(light, x, apex, n, max_error)
@@ -99,22 +100,17 @@ def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "aut
     the coefficients: 1e-6 in float32 for lights of moderate size, 1e-4 at 100 sizes, useless at 1e5. ``quadrature`` integrates the
     derivative over the light's area and keeps its digits there, but is useless close to the light.
 
-    Limits as for :py:func:`project_polygon_gradient`. Carries no derivatives itself. Evaluate wide results together,
-    ``dr.eval(coeffs, gradient)``.
+    Limits as for :py:func:`project_polygon_gradient`. Evaluate wide results together, ``dr.eval(coeffs, gradient)``.
+
+    Differentiable in forward and reverse mode with respect to `vertices` and `x`, coefficients as well as gradient. Up to order 32 these
+    derivatives are analytic and those of ``edge``, whatever the method; above, by autodiff through the recurrences. Relative L2 error of
+    what one vertex of a reference polygon does, order 4, at any distance and angle: at most 8e-7 in float32 and 6e-15 in float64. Where
+    all vertices move together, or `x`, the sum leaves a relative error of eps / theta: 1e-4 in float32 at 100 sizes. A vertex, or the line
+    of an edge, nearer to `x` than 1e-15 (1e-150 in float64) counts as at that distance. They take 2 s to compile at order 8, 9 s at 14,
+    25 s at 20, and many minutes above 32.
     """
     n, light, x, apex = _arguments("project_polygon_spatial_gradient", vertices, x, order, method)
-    max_error = default_error(x)
-    if method == "quadrature":
-        coeffs, parts = project_quadrature_spatial(light, x, n, max_error)
-    else:
-        few = prefers_cubature(light, x, n, max_error) if method == "auto" else None
-        recurrence = boundary_form(method, n)[0] is project_recurrence
-        boundary = project_recurrence_spatial if recurrence else project_edge_spatial
-        coeffs, parts = boundary(light, x, apex, n, True if few is None else few ^ True)
-        if few is not None:
-            more, slopes = project_quadrature_spatial(light, x, n, max_error, few)
-            coeffs = [a + b for a, b in zip(coeffs, more)]
-            parts = [[a + b for a, b in zip(*pair)] for pair in zip(parts, slopes)]
+    coeffs, parts = project_light_spatial(light, x, apex, n, method)
     finite = all_finite(*light.vertices, x)
     gradient = [dr.select(finite, type(x)(*values) * SCALE, dr.nan) for values in zip(*parts)]
     coeffs = [dr.select(finite, c, dr.nan) for c in coeffs]
@@ -123,8 +119,34 @@ def project_polygon_spatial_gradient(vertices, x, order: int, method: str = "aut
     return coeffs, gradient
 
 
+def project_light_spatial(light, x, apex, order: int, method: str = "auto", max_error=None, active=True) -> tuple:
+    """``(coeffs, (dx, dy, dz))``: :py:func:`project_polygon_spatial_gradient` of a light given as edges and strips, without checks of its
+    numbers: for callers inside loops. 0 where not `active`. Derivatives by the light's vertices and `x` are those of the edge form (of the
+    recurrence above order 32), whatever the method of the value.
+
+    `light`: :py:class:`~mi_shlight.light.polygon.EdgeBuffer` or ``VertexList``; `apex`: unit vector from `x` into the light.
+    """
+    if light.grad_enabled() or dr.grad_enabled(x):
+        values = project_light_spatial(light.detached(), dr.detach(x), apex, order, method, max_error, active)
+        return dr.replace_grad(values, _boundary_spatial("auto", order)(light, x, apex, order, active))
+    max_error = default_error(x) if max_error is None else max_error
+    if method == "quadrature":
+        return project_quadrature_spatial(light, x, order, max_error, active)
+    boundary = _boundary_spatial(method, order)
+    if method != "auto":
+        return boundary(light, x, apex, order, active)
+    few = prefers_cubature(light, x, order, max_error)
+    coeffs, parts = boundary(light, x, apex, order, active & (few ^ True))
+    more, slopes = project_quadrature_spatial(light, x, order, max_error, active & few)
+    return [a + b for a, b in zip(coeffs, more)], tuple([a + b for a, b in zip(*pair)] for pair in zip(parts, slopes))
+
+
+def _boundary_spatial(method: str, order: int):
+    return project_recurrence_spatial if boundary_form(method, order)[0] is project_recurrence else project_edge_spatial
+
+
 def _arguments(function: str, vertices, x, order, method) -> tuple:
     order = check_order(function, order)
     check_choice(function, "method", method, METHODS)
     light, x, apex = polygon_arguments(function, vertices, x)
-    return order, light.detached(), dr.detach(x), apex
+    return order, light, x, apex

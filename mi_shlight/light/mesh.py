@@ -11,11 +11,15 @@ away: between equal faces of a closed mesh there remains the outline that the po
 
 So is L_00 = solid angle / sqrt(4 pi), by fans from one apex (:py:func:`mi_shlight.light.polygon.fan_solid_angle`), provided that no face
 covers the opposite of the apex. For a point inside the mesh there may be no such apex; there the solid angles are summed face by face.
+
+Several lights that share no vertices may stand in one :py:class:`MeshLight` as its *parts*, which loops take one after the other.
 """
 from __future__ import annotations
 
+import copy
 import functools
 import operator
+import sys
 from typing import NamedTuple
 
 import drjit as dr
@@ -26,123 +30,138 @@ from ..errors import check_choice, message
 from ..sh.basis import check_order
 from .arguments import SCALE, all_finite, error_argument, not_literal
 from .edge_frame import MONOPOLE
-from .polygon import direction, edge_frame, fan_solid_angle, fold, largest_component, power_of_two_scale, strip_corners, strip_count
+from .polygon import (
+    direction, edge_frame, fan_solid_angle, fold, largest_component, legendre_p, power_of_two_scale)
 from .project import METHODS, boundary_form, default_error, project_polygon
-from .quadrature import node_limits, project_quadrature, quadrature_shader
+from .quadrature import integrate, node_limits, project_quadrature, quadrature_shader
+from .topology import MeshTables, mesh_topology
+from .zonal import zonal_shader
 
 
-class Topology(NamedTuple):
-    """Faces as index tables, from :py:func:`mesh_topology`."""
+class _Measures(NamedTuple):
+    """What loops want to know of a light as a whole: tables with a row for each part, or the row of one part."""
 
-    edges: np.ndarray
-    """(E, 4): start, end, left face, right face; the number of faces stands for none."""
-    triangles: np.ndarray
-    """(T, 4): three corners, face. Together they fill the faces, with sign where a face is not convex."""
-    strips: np.ndarray
-    """(S, 5): four corners, face; as :py:meth:`mi_shlight.light.polygon.VertexList.fold_patches`."""
-    first: np.ndarray
-    """(F,): a corner of each face."""
-
-
-def mesh_topology(faces: list) -> Topology:
-    """Edges and parts of `faces`, a list of integer arrays of three or more vertex indices.
-
-    Each edge is listed once, however many faces share it, as long as every face that runs along it one way finds one that runs back;
-    otherwise, in meshes that are not consistently oriented, it stands there several times.
-    """
-    counts = np.array([len(face) for face in faces])
-    directed, triangles, strips = [], [], []
-    for n in np.unique(counts):
-        owner = np.flatnonzero(counts == n)
-        corners = np.array([faces[f] for f in owner])
-
-        def rows(*columns, corners=corners, owner=owner):
-            return np.column_stack([corners[:, k] for k in columns] + [owner])
-
-        directed += [rows(k, (k + 1) % n) for k in range(n)]
-        triangles += [rows(0, k, k + 1) for k in range(1, n - 1)]
-        strips += [rows(*strip_corners(k, n)) for k in range(strip_count(n))]
-    directed, triangles, strips = (np.concatenate(part) for part in (directed, triangles, strips))
-    triangles, strips = (part[np.argsort(part[:, -1], kind="stable")] for part in (triangles, strips))
-    start, end, owner = directed[directed[:, 0] != directed[:, 1]].T
-    back = start > end
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    order = np.lexsort((owner, back, high, low))
-    low, high, back, owner = low[order], high[order], back[order], owner[order]
-    _, first, group = np.unique(np.column_stack([low, high, back]), axis=0, return_index=True, return_inverse=True)
-    rank = np.arange(len(low)) - first[group.reshape(-1)]       # among the faces that run along the edge the same way
-    slots, slot = np.unique(np.column_stack([low, high, rank]), axis=0, return_inverse=True)
-    sides = np.full((len(slots), 2), len(faces))
-    sides[slot.reshape(-1), back.astype(int)] = owner
-    return Topology(np.column_stack([slots[:, :2], sides]), triangles, strips, np.array([face[0] for face in faces]))
+    area: object
+    """Vector area, scaled."""
+    bent: object
+    """Quarter of the area that cancels in it, scaled."""
+    edge_length: object
+    """Root of the sum of squares of all edges, scaled."""
+    slabs: list
+    """(axis, lowest, highest vertex) along four axes."""
+    centre: object
+    radius: object
+    """Of a ball around the bounding box; the radius is scaled."""
 
 
 class MeshLight:
     """A light of many faces in flat tables, ready for kernels of a size that does not depend on their number.
 
     To the coefficient methods it is a light as :py:class:`~mi_shlight.light.polygon.EdgeBuffer`, except that sums come as *colours*:
-    floats if the radiance has one channel, 3-vectors if it has three.
+    floats if the radiance has one channel, vectors if it has three or four.
 
     Parameters
     ----------
-    positions : Dr.Jit float of width 3 V
-        x, y, z of the vertices.
-    topology : Topology
-    radiance : ndarray (F, C), or list of C Dr.Jit floats of width F
-        Of an array, edges between equal radiances are dropped, unless the light is one-sided.
+    positions : Dr.Jit float of width 3 V, or 3-vector of width V
+        The vertices.
+    topology : Topology or MeshTables
+    radiance : ndarray (F, C), list of C Dr.Jit floats of width F, or function
+        Of an array, edges between equal radiances are dropped, unless the light is one-sided. A function gives the radiance of faces,
+        a Dr.Jit integer, as a list of C floats; only for one-sided lights.
     one_sided : bool
         True if a face emits only to points from which its solid angle is positive.
     """
 
-    def __init__(self, positions, topology: Topology, radiance, one_sided: bool = False):
-        self._number = type(positions)
+    def __init__(self, positions, topology, radiance, one_sided: bool = False):
+        flat = dr.depth_v(positions) == 1
+        self._number = type(positions if flat else positions[0])
         self._vector, self._index = array3(self._number), dr.uint32_array_t(self._number)
         self._one_sided = one_sided
-        edges = topology.edges
+        kept = None
         if isinstance(radiance, np.ndarray):
             radiance = np.pad(radiance, ((0, 1), (0, 0)))                   # black: the face that stands for none
             if not one_sided:
-                edges = edges[(radiance[edges[:, 2]] != radiance[edges[:, 3]]).any(axis=1)]
+                kept = (radiance[topology.edges[:, 2]] != radiance[topology.edges[:, 3]]).any(axis=1)
             radiance = [self._number(channel) for channel in radiance.T]
-        else:
+        elif not callable(radiance):
             radiance = [dr.concat([channel, dr.zeros(self._number)]) for channel in radiance]
-        self._black = self._colour(self._number(0) for _ in radiance)
-        self._edge_count = len(edges)
-        self._edge_end, self._triangle_end, self._strip_end = (dr.opaque(self._index, len(rows))
-                                                               for rows in (edges, topology.triangles, topology.strips))
-        (*edges, left, right), (*triangles, triangle_owner), (*strips, strip_owner) = (
-            [self._index(column) for column in rows.T] for rows in (edges, topology.triangles, topology.strips))
+        tables = topology if isinstance(topology, MeshTables) else MeshTables(self._index, topology, kept)
+        self._edge_count, self._bounds = tables.edge_count, tables.bounds
         # The parts have copies of their vertices. That is faster to read, and Dr.Jit 1.5.0 gets reverse-mode derivatives wrong of a flat
         # buffer that is gathered as vectors both inside and outside of symbolic loops.
-        vertices = dr.unravel(self._vector, positions)
+        vertices = dr.unravel(self._vector, positions) if flat else self._vector(positions)
         self._edges, self._triangles, self._strips = ([dr.gather(self._vector, vertices, corner) for corner in corners]
-                                                      for corners in (edges, triangles, strips))
-        planes = self._measure(dr.detach(vertices), self._index(np.append(topology.first, 0)), triangle_owner)
-        owners = [_Owners(owner, radiance, planes if one_sided else None) for owner in (left, right, triangle_owner, strip_owner)]
-        self._left, self._right, self._triangle_owners, self._strip_owners = owners
-        self._steps = [a - b for a, b in zip(self._left.radiance, self._right.radiance)]
-        dr.eval(self._edges, self._triangles, self._strips, self._steps, [part.tables() for part in owners])
+                                                      for corners in (tables.edges, tables.triangles, tables.strips))
+        planes = self._measure(dr.detach(vertices), tables)
+        self._owners = [_Owners(owner, radiance, planes if one_sided else None, tables.face_count)
+                        for owner in (*tables.sides, tables.triangle_owner, tables.strip_owner)]
+        self._steps = [] if one_sided else [a - b for a, b in zip(*(side.radiance for side in self._owners[:2]))]
+        sample = radiance(self._index(0)) if callable(radiance) else radiance
+        self._radiance_attached = dr.grad_enabled(sample)
+        self._black = self._colour(self._number(0) for _ in sample)
+        dr.eval(self._edges, self._triangles, self._strips, self._steps, self._tables, [part.tables() for part in self._owners])
+        self._choose(self._index(0))
 
-    def _measure(self, vertices, first, triangle_owner) -> list:
-        """Measure the light as a whole; gives the planes of the faces as tables ``n_x, n_y, n_z, n . corner``. Without derivatives."""
-        self._scale = power_of_two_scale(dr.max(largest_component(vertices)))         # keeps squares and areas in range
-        a, b, c = (dr.detach(corner) * self._scale for corner in self._triangles)
-        area = dr.zeros(self._vector, dr.width(first))
-        dr.scatter_add(area, dr.cross(b - a, c - a) * 0.5, triangle_owner)
-        self._area = dr.sum(area, axis=1)
-        self._bent = (dr.sum(dr.norm(area)) - dr.norm(self._area)) * 0.25
-        self._edge_length = self._number(0)
+    def part(self, k) -> "MeshLight":
+        """Light number `k` alone."""
+        view = copy.copy(self)
+        view._choose(k)
+        return view
+
+    def detached(self) -> "MeshLight":
+        """The light without derivatives."""
+        light = copy.copy(self)
+        light._edges, light._triangles, light._strips, light._steps = dr.detach([self._edges, self._triangles, self._strips, self._steps])
+        light._owners, light._radiance_attached = [part.detached() for part in self._owners], False
+        return light
+
+    def grad_enabled(self) -> bool:
+        return self._radiance_attached or dr.grad_enabled(self._triangles)
+
+    def _choose(self, k) -> None:
+        read = lambda table: dr.gather(type(table), table, k)
+        self._edge_range, self._triangle_range, self._strip_range = ((read(table), dr.gather(type(table), table, k + 1))
+                                                                     for table in self._bounds)
+        area, bent, edge_length, slabs, centre, radius = self._tables
+        self._measures = _Measures(read(area), read(bent), read(edge_length), [tuple(map(read, slab)) for slab in slabs], read(centre),
+                                   read(radius))
+
+    def _measure(self, vertices, tables: MeshTables) -> list:
+        """Measure each part as a whole; gives the planes of the faces as tables ``n_x, n_y, n_z, n . corner``. Without derivatives."""
+        parts, faces, part_of = tables.part_count, tables.face_count + 1, tables.triangle_part
+
+        def collected(op, start, values, owner, count=parts):
+            table = dr.full(type(values), start, count)
+            dr.scatter_reduce(op, table, values, owner)
+            return table
+
+        total = functools.partial(collected, dr.ReduceOp.Add, 0)
+        corners = dr.detach(self._triangles)
+        # keeps squares and areas in range
+        self._scale = power_of_two_scale(functools.reduce(dr.maximum, (dr.max(largest_component(corner)) for corner in corners)))
+        a, b, c = (corner * self._scale for corner in corners)
+        facing = dr.cross(b - a, c - a) * 0.5
+        area, face_area = total(facing, part_of), total(facing, tables.triangle_owner, faces)
+        bent = (total(dr.norm(facing), part_of) - dr.norm(area)) * 0.25
+        edge_length = dr.zeros(self._number, parts)
         if self._edge_count:
             start, end = (dr.detach(vertex) * self._scale for vertex in self._edges)
-            self._edge_length = dr.sqrt(dr.sum(dr.squared_norm(end - start)))
-        axes = [self._vector(1, 0, 0), self._vector(0, 1, 0), self._vector(0, 0, 1), direction(self._area)]
-        heights = [dr.dot(axis, vertices) for axis in axes]
-        self._slabs = [(axis, dr.min(height), dr.max(height)) for axis, height in zip(axes, heights)]
-        low, high = (self._vector(*(slab[k] for slab in self._slabs[:3])) for k in (1, 2))
-        self._centre, self._radius = low * 0.5 + high * 0.5, dr.norm(high * self._scale - low * self._scale) * 0.5
-        normals = direction(area)
-        planes = [*normals, dr.dot(normals, dr.gather(self._vector, vertices, first))]
-        dr.eval(self._scale, self._area, self._bent, self._slabs, self._centre, self._radius, self._edge_length, planes)
+            edge_length = dr.sqrt(total(dr.squared_norm(end - start), tables.edge_part))
+        # of a light with two sides, either: it lies in one half-space as its first triangle
+        first = direction(dr.gather(self._vector, facing, dr.gather(self._index, tables.bounds[1], dr.arange(self._index, parts))))
+        axes = [self._vector(*(dr.full(self._number, float(i == k), parts) for i in range(3))) for k in range(3)]
+        slabs = []
+        for axis in (*axes, dr.select(dr.norm(area) > bent, direction(area), first)):
+            own = dr.gather(self._vector, axis, part_of)
+            heights = [dr.dot(own, corner) for corner in corners]
+            low, high = functools.reduce(dr.minimum, heights), functools.reduce(dr.maximum, heights)
+            slabs.append((axis, collected(dr.ReduceOp.Min, dr.inf, low, part_of), collected(dr.ReduceOp.Max, -dr.inf, high, part_of)))
+        low, high = (self._vector(*(slab[k] for slab in slabs[:3])) for k in (1, 2))
+        self._tables = _Measures(area, bent, edge_length, slabs, low * 0.5 + high * 0.5,
+                                 dr.norm(high * self._scale - low * self._scale) * 0.5)
+        normals = direction(face_area)
+        planes = [*normals, dr.dot(normals, dr.gather(self._vector, vertices, tables.first))]
+        dr.eval(self._scale, self._tables, planes)
         return planes
 
     def edge_count(self) -> int:
@@ -157,12 +176,12 @@ class MeshLight:
         """
         x = dr.detach(x)
         outside, into = dr.mask_t(x[0])(False), self._vector(0)
-        for axis, low, high in self._slabs:
+        for axis, low, high in self._measures.slabs:
             height = dr.dot(axis, x)
             before, behind = height < low, height > high
             into = dr.select(before, axis, dr.select(behind, -axis, into))
             outside = outside | before | behind
-        return dr.select(outside, direction(direction(self._centre - x) + into), 0), outside
+        return dr.select(outside, direction(direction(self._measures.centre - x) + into), 0), outside
 
     def prefers_cubature(self, x, order: int, max_error: float):
         """Mask: where method ``auto`` takes the cubature in place of the edge form.
@@ -172,55 +191,65 @@ class MeshLight:
         triangles. The solid angle is that of the light's vector area, and, if it is one-sided, of a quarter of the area that cancels
         in it. Only where there are nodes enough for an angle as large as the whole light: close to it the edge form stays, grazing or not.
         """
-        towards = (self._centre - dr.detach(x)) * self._scale
+        whole = self._measures
+        towards = (whole.centre - dr.detach(x)) * self._scale
         distance = dr.norm(towards)
-        seen = dr.dot(self._area, towards) / distance
-        seen = self._bent + dr.maximum(seen, 0) if self._one_sided else abs(seen)
+        seen = dr.dot(whole.area, towards) / distance
+        seen = whole.bent + dr.maximum(seen, 0) if self._one_sided else abs(seen)
         angle = min(node_limits(order, max_error)[-1], 1)
-        return (2 * self._radius < angle * distance) & (2 * dr.epsilon(x) * self._edge_length * distance > max_error * seen)
+        return (2 * whole.radius < angle * distance) & (2 * dr.epsilon(x) * whole.edge_length * distance > max_error * seen)
 
     def sum(self, term, x, apex, width: int, active=True) -> list:
-        """Sum of ``term(v_i, v_j, apex)`` over the edges, weighted as in (1): list of `width` colours; 0 where not `active`."""
+        """Sum of ``term(v_i, v_j, apex)`` over the edges, weighted as in (1): list of `width` colours; 0 where not `active`.
+
+        A pair in the list stands for its product.
+        """
+        left, right = self._owners[:2]
+
         def body(e, total, x, apex):
             v_i, v_j = (self._read(end, e) - x for end in self._edges)
             weight = self._colour(self._step(e, x))
-            return [dr.fma(weight, value, t) for t, value in zip(total, term(v_i, v_j, apex))]
+            return [dr.fma(weight * value[0], value[1], t) if isinstance(value, tuple) else dr.fma(weight, value, t)
+                    for t, value in zip(total, term(v_i, v_j, apex))]
 
-        differ = lambda e, x: self._left.differ(self._right, e, x)
+        differ = lambda e, x: left.differ(right, e, x)
         colours = [self._black for _ in range(width)]
-        return self._fold(self._edge_end, differ, body, colours, (x, apex), active) if self._edge_count else colours
+        return self._fold(self._edge_range, differ, body, colours, (x, apex), active) if self._edge_count else colours
 
     def solid_angle(self, x, active=True):
         """Sum of radiance times signed solid angle over the faces: a colour; 0 where not `active`."""
+        owners = self._owners[2]
+
         def body(t, total, x):
             corners = (self._read(corner, t) - x for corner in self._triangles)
-            return dr.fma(self._colour(self._triangle_owners.emitted(t, x)), triangle_solid_angle(*corners), total)
+            return dr.fma(self._colour(owners.emitted(t, x)), triangle_solid_angle(*corners), total)
 
-        return self._fold(self._triangle_end, self._triangle_owners.face, body, self._black, (x,), active)
+        return self._fold(self._triangle_range, owners.face, body, self._black, (x,), active)
 
     def only_strip(self):
         return None
 
     def fold_patches(self, body, total, x, active=True):
         """Sum of radiance times what ``body(corners, total, x)`` adds to `total`, zero or a list of zeros, over the strips of all faces."""
-        several = isinstance(total, list)
+        several, owners = isinstance(total, list), self._owners[3]
 
         def over_strip(i, colours, x):
             values = body(tuple(self._read(corner, i) for corner in self._strips), total, x)
-            emitted = self._colour(self._strip_owners.emitted(i, x))
+            emitted = self._colour(owners.emitted(i, x))
             return [dr.fma(emitted, value, colour) for colour, value in zip(colours, values if several else [values])]
 
         colours = [self._black for _ in total] if several else [self._black]
-        colours = self._fold(self._strip_end, self._strip_owners.face, over_strip, colours, (x,), active)
+        colours = self._fold(self._strip_range, owners.face, over_strip, colours, (x,), active)
         return colours if several else colours[0]
 
-    def _fold(self, last, wanted, body, total, others: tuple, active):
-        """``for i in range(last): total = body(i, total, *others)``; of a one-sided light only i that are ``wanted(i, x)``.
+    def _fold(self, bounds: tuple, wanted, body, total, others: tuple, active):
+        """``for i in range(*bounds): total = body(i, total, *others)``; of a one-sided light only i that are ``wanted(i, x)``.
 
         Each lane runs on to the next i that it wants before the body, which costs much more, is entered.
         """
+        first, last = bounds
         if not self._one_sided:
-            return fold(self._index(0), last, lambda i: i, body, total, others, active)
+            return fold(first, last, lambda i: i, body, total, others, active)
 
         def following(i, last, x):
             searching = lambda i: (i < last) & ~wanted(dr.minimum(i, last - 1), x)      # reads even where i is past the end
@@ -230,14 +259,14 @@ class MeshLight:
             total = body(i, total, *others)
             return following(i + 1, last, others[0]), last, total, others
 
-        last = dr.select(active, last, 0)
-        state = following(self._index(0), last, others[0]), last, total, others
+        last = dr.select(active, last, first)
+        state = following(first, last, others[0]), last, total, others
         return dr.while_loop(state, lambda i, last, *_: i < last, step, mode="symbolic", max_iterations=-1)[2]
 
     def _step(self, e, x) -> list:
         """By how much the radiance to the left of an edge exceeds that to the right, by channel."""
         if self._one_sided:
-            return [a - b for a, b in zip(self._left.emitted(e, x), self._right.emitted(e, x))]
+            return [a - b for a, b in zip(*(side.emitted(e, x) for side in self._owners[:2]))]
         return [dr.gather(self._number, steps, e) for steps in self._steps]
 
     def _read(self, corner, i):
@@ -245,19 +274,30 @@ class MeshLight:
 
     def _colour(self, channels):
         channels = list(channels)
-        return channels[0] if len(channels) == 1 else self._vector(*channels)
+        if len(channels) == 1:
+            return channels[0]
+        vector = self._vector
+        return getattr(sys.modules[vector.__module__], vector.__name__.replace("Array3", f"Array{len(channels)}"))(*channels)
 
 
 class _Owners:
     """The faces to which edges, triangles or strips belong, by the number of the part: what they send to a point."""
 
-    def __init__(self, owner, radiance: list, planes):
+    def __init__(self, owner, radiance, planes, face_count: int):
         spread = lambda tables: [dr.gather(type(table), table, owner) for table in tables]
-        self.radiance, self._planes = spread(radiance), planes and spread(planes)
-        self._attached = dr.grad_enabled(self.radiance)
+        self._planes = planes and spread(planes)
+        self.radiance = [] if callable(radiance) else spread(radiance)
+        self._function = radiance if callable(radiance) else None
+        self._face = dr.minimum(owner, face_count - 1) if callable(radiance) else None       # the plane of no face is turned away
 
     def tables(self) -> list:
-        return [*self.radiance, *(self._planes or [])]
+        return [*self.radiance, *(self._planes or []), self._face]
+
+    def detached(self) -> "_Owners":
+        owners, function = copy.copy(self), self._function
+        owners.radiance = dr.detach(self.radiance)
+        owners._function = function and (lambda face: dr.detach(function(face)))
+        return owners
 
     def face(self, i, x):
         """Mask: `x` lies on the side to which the face emits. To the last bit the same for all parts of a face."""
@@ -267,14 +307,18 @@ class _Owners:
 
     def emitted(self, i, x) -> list:
         """Radiance towards `x`, by channel."""
-        radiance = [dr.gather(type(channel), channel, i) for channel in self.radiance]
+        if self._function:
+            radiance = self._function(dr.gather(type(self._face), self._face, i))
+        else:
+            radiance = [dr.gather(type(channel), channel, i) for channel in self.radiance]
         return [dr.select(self.face(i, x), r, 0) for r in radiance] if self._planes else radiance
 
     def differ(self, other, i, x):
         """Mask: the two do not send the same. If the radiance has derivatives, which differ even then: one of them faces `x`."""
-        if self._attached:
+        mine, theirs = self.emitted(i, x), other.emitted(i, x)
+        if dr.grad_enabled(mine, theirs):
             return self.face(i, x) | other.face(i, x)
-        return functools.reduce(operator.or_, (a != b for a, b in zip(self.emitted(i, x), other.emitted(i, x))))
+        return functools.reduce(operator.or_, (a != b for a, b in zip(mine, theirs)))
 
 
 def triangle_solid_angle(a, b, c):
@@ -380,13 +424,13 @@ def project_mesh_light(light: MeshLight, x, order: int, method: str = "auto", ma
     """:py:func:`project_mesh` of a prepared light, without checks: list of colours."""
     max_error = default_error(x) if max_error is None else max_error
 
-    def boundary(active):
-        apex, outside = light.apex(x)
-        coeffs = boundary_form(method, order)[0](light, x, apex, order, active)
-        return [dr.fma(light.solid_angle(x, ~outside & active), MONOPOLE, coeffs[0]), *coeffs[1:]]
+    def boundary(light, point, method, active=True):
+        apex, outside = light.apex(point[0])
+        coeffs = boundary_form(method, order)[0](light, *point, apex, order, active)
+        return [dr.fma(light.solid_angle(*point, ~outside & active), MONOPOLE, coeffs[0]), *coeffs[1:]]
 
-    cubature = lambda active: project_quadrature(light, x, order, max_error, active)
-    return _by_method(light, x, order, method, max_error, boundary, cubature)
+    cubature = lambda light, point, active: project_quadrature(light, *point, order, max_error, active)
+    return _by_method(light, (x,), order, method, max_error, boundary, cubature)
 
 
 def mesh_shader(transfer: list, order: int, method: str = "auto", max_error=None):
@@ -395,27 +439,56 @@ def mesh_shader(transfer: list, order: int, method: str = "auto", max_error=None
     The counterpart of :py:func:`mi_shlight.light.project.light_shader`; each edge costs one dot product, whatever the number of channels.
     """
     max_error = default_error(transfer[0]) if max_error is None else max_error
-    over_edges = boundary_form(method, order)[1](transfer, order)
     over_area = quadrature_shader(transfer, order, max_error)
 
-    def shade(light, x):
-        def boundary(active):
-            apex, outside = light.apex(x)
-            return [dr.fma(light.solid_angle(x, ~outside & active), transfer[0] * MONOPOLE, over_edges(light, x, apex, active))]
+    def boundary(light, point, method, active=True):
+        apex, outside = light.apex(point[0])
+        over_edges = boundary_form(method, order)[1](transfer, order)
+        return [dr.fma(light.solid_angle(*point, ~outside & active), transfer[0] * MONOPOLE, over_edges(light, *point, apex, active))]
 
-        return _by_method(light, x, order, method, max_error, boundary, lambda active: [over_area(light, x, active)])[0]
+    cubature = lambda light, point, active: [over_area(light, *point, active)]
+    return lambda light, x: _by_method(light, (x,), order, method, max_error, boundary, cubature)[0]
 
-    return shade
+
+def zonal_mesh_shader(weights: list, method: str = "auto"):
+    """Function ``shade(light, x, axis)`` that gives ``sum_l weights_l S_l`` about the unit vector `axis` of a :py:class:`MeshLight`.
+
+    The counterpart of :py:func:`mi_shlight.light.zonal.zonal_light_shader`; `method`: ``auto`` or ``edge``. `axis` may carry derivatives.
+    """
+    order = len(weights) - 1
+
+    def boundary(light, point, method, active=True):
+        x, axis = point
+        apex, outside = light.apex(x)
+        over_edges = zonal_shader(axis, weights)(light, x, apex, active)
+        return [dr.fma(light.solid_angle(x, ~outside & active), weights[0], over_edges)]
+
+    def cubature(light, point, active):
+        x, axis = point
+
+        def add(total, omega, solid_angle):
+            value = sum(w * p for w, p in zip(weights, legendre_p(dr.dot(axis, omega), order)))
+            return dr.fma(solid_angle, value, total)
+
+        return [integrate(light, x, order, default_error(x), add, type(x[0])(0), active)]
+
+    return lambda light, x, axis: _by_method(light, (x, axis), order, method, default_error(x), boundary, cubature)[0]
 
 
-def _by_method(light, x, order: int, method: str, max_error: float, boundary, cubature) -> list:
-    """``boundary(active)`` or ``cubature(active)``, or by ``auto`` at each point one of the two."""
+def _by_method(light, point: tuple, order: int, method: str, max_error: float, boundary, cubature) -> list:
+    """``boundary(light, point, method, active)`` or ``cubature(light, point, active)``, or by ``auto`` for each lane one of the two.
+
+    `point`: the shading point and what else belongs to it. Derivatives are those of the boundary form that ``auto`` takes.
+    """
+    if light.grad_enabled() or dr.grad_enabled(point):
+        values = _by_method(light.detached(), dr.detach(point), order, method, max_error, boundary, cubature)
+        return [dr.replace_grad(value, slope) for value, slope in zip(values, boundary(light, point, "auto"))]
     if method == "quadrature":
-        return cubature(True)
+        return cubature(light, point, True)
     if method != "auto":
-        return boundary(True)
-    few = light.prefers_cubature(x, order, max_error)
-    return [a + b for a, b in zip(boundary(~few), cubature(few))]
+        return boundary(light, point, method)
+    few = light.prefers_cubature(point[0], order, max_error)
+    return [a + b for a, b in zip(boundary(light, point, method, ~few), cubature(light, point, few))]
 
 
 def _mesh_arguments(function: str, vertices, faces, radiance, x) -> tuple:

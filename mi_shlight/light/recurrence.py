@@ -26,7 +26,7 @@ from typing import NamedTuple
 import drjit as dr
 
 from ..sh.lobes import lobes
-from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, over_cosine, zeros
+from .polygon import EdgeFrame, VertexList, edge_frame, fan_solid_angle, inverse_length, over_cosine, zeros
 
 UNROLL_ORDER = 14
 """Up to this order all lobes stand in one kernel body. Above, a symbolic loop runs over the lobes: four times slower per point,
@@ -181,7 +181,7 @@ def project_recurrence_spatial(light, x, apex, order: int, active=True) -> tuple
     count = (order + 1) ** 2
     if _looped(order, x):
         coeffs = _spatial_lobe_loop(light, x, apex, order, active)
-        return coeffs[:count], [coeffs[k * count:(k + 1) * count] for k in (1, 2, 3)]
+        return coeffs[:count], tuple(coeffs[k * count:(k + 1) * count] for k in (1, 2, 3))
     sums, slopes = [], zeros(x, 3 * count)
     for group in _groups(order, 1):
         def term(v_i, v_j, apex, group=group):
@@ -194,7 +194,7 @@ def project_recurrence_spatial(light, x, apex, order: int, active=True) -> tuple
         total = light.sum(term, x, apex, width + 3 * count, active)
         sums += total[:width]
         slopes = [a + b for a, b in zip(slopes, total[width:])]
-    return _coefficients(sums, order), [slopes[k * count:(k + 1) * count] for k in range(3)]
+    return _coefficients(sums, order), tuple(slopes[k * count:(k + 1) * count] for k in range(3))
 
 
 def project_recurrence_lines(light, x, apex, order: int) -> tuple:
@@ -331,29 +331,38 @@ def _spatial_factors(frame: EdgeFrame, v_i, v_j) -> tuple:
 def _project_lobe_loop(light, x, apex, order: int, active) -> list:
     """:py:func:`project_recurrence` with a symbolic loop over the lobes: slower per point, compiles in O(order^2)."""
     total = light.sum(lambda v_i, v_j, apex: [fan_solid_angle(apex, edge_frame(v_i, v_j))], x, apex, 1, active)[0]
+    corners, rebuilt = _loop_state(light)
 
-    def zonal(lobe, x, apex, total):
+    def zonal(lobe, x, apex, total, corners):
         term = lambda v_i, v_j, apex: edge_integrals(edge_frame(v_i, v_j), order, [lobe])[0]
-        return [zonal_integrals(total, light.sum(term, x, apex, order, active), order)]
+        return [zonal_integrals(total, rebuilt(corners).sum(term, x, apex, order, active), order)]
 
-    return _over_lobes(order, [type(total)(0)], type(x[0]), zonal, x, apex, total)
+    return _over_lobes(order, [type(total)(0)], type(x[0]), zonal, x, apex, total, corners)
 
 
 def _spatial_lobe_loop(light, x, apex, order: int, active) -> list:
     """:py:func:`project_recurrence_spatial` as :py:func:`_project_lobe_loop`: coefficients and their derivatives in one list."""
     total = light.sum(lambda v_i, v_j, apex: [fan_solid_angle(apex, edge_frame(v_i, v_j))], x, apex, 1, active)[0]
+    corners, rebuilt = _loop_state(light)
 
-    def zonal(lobe, x, apex, total):
+    def zonal(lobe, x, apex, total, corners):
         def term(v_i, v_j, apex):
             frame = edge_frame(v_i, v_j)
             arc = arc_series(frame, order, lobe)
             lines = line_integrals(arc, *_spatial_factors(frame, v_i, v_j))
             return boundary_terms(arc) + [n * value for n in frame.normal for value in lines]
 
-        sums = light.sum(term, x, apex, order + 3 * (order + 1), active)
+        sums = rebuilt(corners).sum(term, x, apex, order + 3 * (order + 1), active)
         return [zonal_integrals(total, sums[:order], order)] + [sums[order + k * (order + 1):][:order + 1] for k in range(3)]
 
-    return _over_lobes(order, zeros(x, 4), type(x[0]), zonal, x, apex, total)
+    return _over_lobes(order, zeros(x, 4), type(x[0]), zonal, x, apex, total, corners)
+
+
+def _loop_state(light) -> tuple:
+    """(corners, function that makes the light of them): what of a light has to go through a loop's state for derivatives to come back."""
+    if isinstance(light, VertexList):
+        return light.vertices, VertexList
+    return [], lambda corners: light                  # buffers: what is gathered of them in a loop is differentiable as it is
 
 
 def _over_lobes(order: int, start: list, number, zonal, *others) -> list:

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
-from ..scene import mesh_arrays, occluder_hash, polygon_lights, receivers
+from ..scene import aligned, mesh_arrays, occluder_hash, polygon_lights, receivers
 from ..sh.basis import check_order
 from .mesh import MAX_POINTS, MAX_SUBDIVISION, automatic_edge, refine, spread_to_buried, subdivision_of
 from .store import MeshBlock, Transfer
@@ -182,12 +182,14 @@ def _clean_contacts(scene, points, positions, normals, coeffs, visibility) -> No
 
 
 def _points(kind, rows: np.ndarray):
-    return kind(*(mi.Float(np.ascontiguousarray(column)) for column in rows.T))
+    return dr.gather(kind, aligned(mi.Float, rows.ravel()), dr.arange(mi.UInt32, len(rows)))
 
 
 def _hashed_shift(begin: int, count: int):
     """A reproducible shift of the direction set for each point, so that neighbours' errors are independent."""
-    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=begin)
+    sequence = mi.UInt64(begin)
+    dr.make_opaque(sequence)                          # a literal would be compiled into the kernel of each launch
+    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=sequence)
     return mi.Point2f(generator.next_float32(), generator.next_float32())
 
 

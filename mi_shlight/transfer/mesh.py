@@ -107,27 +107,26 @@ def spread_to_buried(mesh: BakeMesh, buried: np.ndarray, values: np.ndarray) -> 
     """
     if not buried.any():
         return
-    edges = _grid_edges(mesh)
-    edges = np.concatenate([edges, edges[:, ::-1]])
-    edges = edges[buried[edges[:, 0]] & ~buried[edges[:, 1]]]
-    targets, slot = np.unique(edges[:, 0], return_inverse=True)
+    pairs = _contacts(mesh, buried)
+    targets, slot = np.unique(pairs[:, 0], return_inverse=True)
     count = np.bincount(slot)
     for index in np.ndindex(values.shape[:-2]):
         total = np.zeros((len(targets), values.shape[-1]))
-        np.add.at(total, slot, values[index][edges[:, 1]])
+        np.add.at(total, slot, values[index][pairs[:, 1]])
         values[index][targets] = total / count[:, None]
 
 
-def _grid_edges(mesh: BakeMesh) -> np.ndarray:
-    """Pairs of rows (E, 2) that are neighbours in some face's grid, each pair once."""
+def _contacts(mesh: BakeMesh, buried: np.ndarray) -> np.ndarray:
+    """Pairs (P, 2) of a buried and a visible row that are neighbours in some face's grid, each pair once."""
     pairs = [np.zeros((0, 2), np.int64)]
     for k in np.unique(mesh.subdivision):
         number = {(i, j): g for g, (i, j) in enumerate((i, j) for j in range(k + 1) for i in range(int(k) + 1 - j))}
         local = np.array([(g, number[i + di, j + dj]) for (i, j), g in number.items()
                           for di, dj in ((1, 0), (0, 1), (-1, 1)) if (i + di, j + dj) in number])
         chosen = np.flatnonzero(mesh.subdivision == k)
-        pairs.append(mesh.rows[(mesh.first[chosen].astype(np.int64)[:, None, None] + local).reshape(-1, 2)])
-    return np.unique(np.sort(np.concatenate(pairs).astype(np.int64), axis=1), axis=0)
+        edges = mesh.rows[(mesh.first[chosen].astype(np.int64)[:, None, None] + local).reshape(-1, 2)]
+        pairs += [ends[buried[ends[:, 0]] & ~buried[ends[:, 1]]] for ends in (edges, edges[:, ::-1])]
+    return np.unique(np.concatenate(pairs), axis=0)
 
 
 def automatic_edge(bounds: np.ndarray) -> float:

@@ -179,7 +179,7 @@ def load_transfer(path) -> Transfer:
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
-    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs"), object)
+    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "row_count"), object)
 
     def __init__(self, transfer: Transfer, scene):
         blocks = {block.content: block for block in transfer.meshes}
@@ -203,7 +203,8 @@ class TransferLookup:
         self.baked, self.first_face, self.back = (aligned(mi.UInt32, table) for table in (baked, first_face, back))
         self.subdivision, self.first, self.rows = join(subdivision), join(first), join(rows)
         self.coeffs = aligned(mi.Float, transfer.coeffs.ravel() if transfer.coeffs.size else np.zeros(transfer.coeffs.shape[2]))
-        self.count, self.row_count = transfer.coeffs.shape[2], transfer.coeffs.shape[1]
+        self.count, self.row_count = transfer.coeffs.shape[2], mi.UInt32(transfer.coeffs.shape[1])
+        dr.make_opaque(self.row_count)                # a literal would compile the kernels of a picture anew for each bake
 
     def rows_at(self, pi, shape, back_side, active) -> tuple:
         """(rows, weights, valid) of a preliminary intersection `pi`: three baked points and their barycentric weights."""

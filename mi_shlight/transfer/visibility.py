@@ -14,16 +14,17 @@ whose lights are all below its horizon gets a zero transfer.
 from __future__ import annotations
 
 import copy
-import itertools
 import math
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..light.polygon import direction
-from ..scene import shape_index
+from ..scene import aligned, shape_index
 from ..sh.basis import sh_basis
 from .cosine import cosine_transfer
+from .light_tree import LightTrees, worth
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -100,13 +101,15 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
     origin = _lifted(p, n)
     count = (order + 1) ** 2
 
-    def body(s, visible, conflict, weighted, plain, origin, offset):
-        u = (mi.Float(s) + offset.x) / samples
-        angle = 2 * dr.pi * (mi.Float(s) * GOLDEN + offset.y - dr.floor(mi.Float(s) * GOLDEN))
+    stride = neighbour_stride(samples)                # what one direction has met bounds the search of the next
+
+    def body(s, i, visible, conflict, weighted, plain, met, origin, offset):
+        u = (mi.Float(i) + offset.x) / samples
+        angle = 2 * dr.pi * (mi.Float(i) * GOLDEN + offset.y - dr.floor(mi.Float(i) * GOLDEN))
         radius = dr.sqrt(u)
         sin, cos = dr.sincos(angle)
         d = frame.to_world(mi.Vector3f(radius * cos, radius * sin, dr.sqrt(dr.maximum(1 - u, 0))))
-        target, distance, farther, any_above = lights.nearest(group, origin, n, d)
+        target, distance, farther, any_above, met = lights.nearest(group, origin, n, d, met)
         blocked = ~any_above | occluders.blocked(group, origin, target, distance, active & any_above)
         hidden = mi.Bool(False)
         if lights.crowded:
@@ -116,13 +119,14 @@ def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, 
         basis = sh_basis(d, order)
         weighted = [dr.fma(v, y, w) for y, w in zip(basis, weighted)]
         plain = [y + w for y, w in zip(basis, plain)]
-        return s + 1, visible + v, conflict + dr.select(hidden, mi.Float(1), 0), weighted, plain, origin, offset
+        following = i + stride
+        return (s + 1, dr.select(following < samples, following, following - samples), visible + v,
+                conflict + dr.select(hidden, mi.Float(1), 0), weighted, plain, met, origin, offset)
 
     zeros = lambda: [mi.Float(0) for _ in range(count)]
     last = dr.select(active, mi.UInt32(samples), 0)
-    _, visible, conflict, weighted, plain, _, _ = dr.while_loop(
-        (mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), origin, offset), lambda s, *_: s < last, body,
-        mode="symbolic")
+    start = (mi.UInt32(0), mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), mi.Vector3f(dr.inf), origin, offset)
+    _, _, visible, conflict, weighted, plain, *_ = dr.while_loop(start, lambda s, *_: s < last, body, mode="symbolic")
     mean = visible / samples
     exact = cosine_transfer(n, order)
     coeffs = [dr.fma(mean, e - b / samples, w / samples) for e, b, w in zip(exact, plain, weighted)]
@@ -148,84 +152,113 @@ def inside_a_body(scene, p, n, samples: int = 32):
     return dr.while_loop(state, lambda s, inside, origin: inside & (s < samples), body, mode="symbolic")[1]
 
 
+def neighbour_stride(samples: int) -> int:
+    """Step through `samples` Fibonacci directions in which each is close to the one before, and which meets them all: a Fibonacci
+    number near the root of `samples` that has no divisor in common with it.
+    """
+    a, b = 1, 2
+    while b * b < samples or math.gcd(b, samples) > 1:
+        a, b = b, a + b
+    return b % samples
+
+
 class BakeLights:
     """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
 
-    DRJIT_STRUCT = dict.fromkeys(("edges", "first_edge", "normal"), object)
+    DRJIT_STRUCT = dict.fromkeys(("edges", "first_edge", "normal", "trees", "_group"), object)
 
     def __init__(self, lights: list, margin: float):
         """`lights`: :py:class:`~mi_shlight.scene.PolygonLight` objects."""
-        outlines = [light.outline for light in lights]
-        flat = lambda arrays: mi.Float([float(v) for array in arrays for v in array.ravel()])
-        self.edges = flat(outlines)
-        self.first_edge = mi.UInt32([0, *itertools.accumulate(len(outline) for outline in outlines)])
-        self.normal = flat([light.normal for light in lights])
+        polygons = [light.polygons for light in lights]
+        outlines = [outline for faces in polygons for outline, _ in faces]
+        self.edges = aligned(mi.Float, np.concatenate([outline.ravel() for outline in outlines]))
+        self.first_edge = aligned(mi.UInt32, np.cumsum([0] + [len(outline) for outline in outlines]))
+        self.normal = aligned(mi.Float, np.concatenate([normal for faces in polygons for _, normal in faces]))
         self.margin = margin
         self.crowded = len(lights) > MAX_GROUPS
+        groups = light_groups(len(lights))
+        self._group = aligned(mi.UInt32, np.repeat(np.arange(len(groups) - 1), np.diff(groups)))
+        first = np.cumsum([0] + [len(faces) for faces in polygons])
+        trees = LightTrees(np.array([outline.mean(axis=(0, 1)) for outline in outlines]), first[groups])
+        self.trees = trees.refitted(self.edges, self.first_edge)
 
     def at(self, edges, normal) -> "BakeLights":
         """The same lights elsewhere: flat buffers of both ends of each edge, and of the normals."""
         lights = copy.copy(self)
         lights.edges, lights.normal = edges, normal
+        lights.trees = self.trees.refitted(edges, self.first_edge)
         return lights
 
-    def nearest(self, group, x, n, d) -> tuple:
+    def nearest(self, group, x, n, d, met) -> tuple:
         """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such
-        distance, found).
+        distance, found, met).
 
         `d` itself where it meets a light of the group or comes as near as the margin; otherwise the nearest direction that
-        does. Lights are clipped to the horizon of the normal `n`; `found` is False where nothing of them is left.
+        does. Lights are clipped to the horizon of the normal `n`; `found` is False where nothing of them is left. `met` is the nearest
+        direction without the margin; given with the same point's next `d` it saves time if that is close (infinite: nothing known).
         """
-        def light_body(k, best, best_q, reach, plane, farthest, x, n, d):
-            normal = dr.gather(mi.Vector3f, self.normal, k)
-            first, last = dr.gather(mi.UInt32, self.first_edge, k), dr.gather(mi.UInt32, self.first_edge, k + 1)
-            height = dr.dot(normal, self._vertex(first, 0) - x)
-            through = _distance_to_plane(normal, height, d)
-            hits_plane = dr.isfinite(through)
-            hit = d * dr.select(hits_plane, through, 0)
-            axis = dr.select(abs(normal.x) > 0.9, mi.Vector3f(0, 1, 0), mi.Vector3f(1, 0, 0))
-            across = dr.cross(normal, axis)
-            along = dr.cross(normal, across)
+        trees = self.trees
 
-            def edge_body(e, inside, near, near_q, near_distance, x, n, d, hit):
-                v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
-                # even-odd rule in the light's plane
-                y_i, y_j = dr.dot(v_i - hit, across), dr.dot(v_j - hit, across)
-                x_i, x_j = dr.dot(v_i - hit, along), dr.dot(v_j - hit, along)
-                crosses = (y_i > 0) != (y_j > 0)
-                right = x_i - y_i * (x_j - x_i) / dr.select(crosses, y_j - y_i, 1) > 0
-                inside = inside ^ (crosses & right)
-                above, v_i, v_j = _clip_to_horizon(v_i, v_j, n)
-                q, chord2 = _nearest_on_arc(v_i, v_j, d)
-                distance = _distance_on_edge(v_i, v_j, q)
-                closer = above & (chord2 < near)
-                return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q),
-                        dr.select(closer, distance, near_distance), x, n, d, hit)
+        def leaf_body(node, trail, best, best_q, reach, winner, rim, farthest, x, n, d):
+            node, trail = trees.next_leaf(node, trail, x, n, d, best)
+            polygon, some = trees.polygon(node, worth(trees.bound(node, x, n, d), best))
+            inside, through, chord2, q, edge = self._nearest_on_polygon(polygon, some, x, n, d)
+            closer = (chord2 < best) | (inside & (best == 0) & (through < reach))
+            node, trail = trees.climb(node, trail)
+            return (node, trail, dr.select(closer, chord2, best), dr.select(closer, q, best_q), dr.select(closer, through, reach),
+                    dr.select(closer, polygon, winner), dr.select(closer, edge, rim),
+                    dr.select(inside, dr.maximum(farthest, through), farthest), x, n, d)
 
-            _, inside, chord2, q, distance, *_ = dr.while_loop(
-                (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), x, n, d, hit),
-                lambda e, *_: e < last, edge_body, mode="symbolic")
-            inside &= hits_plane
-            q, chord2, distance = dr.select(inside, d, q), dr.select(inside, 0, chord2), dr.select(inside, through, distance)
-            closer = (chord2 < best) | (inside & (best == 0) & (distance < reach))
-            return (k + 1, dr.select(closer, chord2, best), dr.select(closer, q, best_q), dr.select(closer, distance, reach),
-                    dr.select(closer, mi.Vector4f(normal.x, normal.y, normal.z, height), plane),
-                    dr.select(inside, dr.maximum(farthest, distance), farthest), x, n, d)
-
-        first, last = group
-        _, chord2, q, distance, plane, farthest, *_ = dr.while_loop(
-            (mi.UInt32(first), mi.Float(dr.inf), mi.Vector3f(d), mi.Float(dr.inf), mi.Vector4f(0), mi.Float(0), x, n,
-             mi.Vector3f(d)),
-            lambda k, *_: k < last, light_body, mode="symbolic")
+        root = trees.roots + dr.gather(mi.UInt32, self._group, group[0])
+        near = dr.squared_norm(d - met) * (1 + 1e-3) + 1e-6     # more than rounding
+        start = (root, mi.UInt32(0), near, mi.Vector3f(dr.inf), mi.Float(dr.inf), mi.UInt32(0), mi.UInt32(0), mi.Float(0), x, n,
+                 mi.Vector3f(d))
+        _, _, chord2, q, through, winner, rim, farthest, *_ = dr.while_loop(start, lambda node, *_: node > 0, leaf_body, mode="symbolic")
+        found, met = dr.isfinite(q.x), q
+        _, v_i, v_j = _clip_to_horizon(self._vertex(rim, 0) - x, self._vertex(rim, 1) - x, n)
+        distance = dr.select(dr.isfinite(through), through, _distance_on_edge(v_i, v_j, q))
         if self.margin > 0:
             # Only in front of the light, and only up to its plane: what is behind it does not count.
-            normal, height = plane.xyz, plane.w
+            normal = dr.gather(mi.Vector3f, self.normal, winner)
+            height = dr.dot(normal, self._vertex(dr.gather(mi.UInt32, self.first_edge, winner), 0) - x)
             apart = 2 * dr.asin(dr.minimum(dr.sqrt(chord2) / 2, 1))
             angle = dr.select(height < 0, dr.minimum(dr.atan2(mi.Float(self.margin), distance), apart), 0)
             sin, cos = dr.sincos(angle)
             q = mi.Vector3f(q * cos + direction(d - q * dr.dot(d, q)) * sin)
             distance = dr.select(angle > 0, dr.minimum(distance, _distance_to_plane(normal, height, q)), distance)
-        return q, distance, farthest, dr.isfinite(chord2)
+        return q, distance, farthest, found, met
+
+    def _nearest_on_polygon(self, polygon, active, x, n, d) -> tuple:
+        """(d meets the polygon, distance to it there or infinite, squared chord from `d` to its nearest direction, that direction, edge
+        it is on); an infinite chord if nothing is above the horizon or `active` is false.
+        """
+        normal = dr.gather(mi.Vector3f, self.normal, polygon, active)
+        first, last = (dr.gather(mi.UInt32, self.first_edge, polygon + k, active) for k in (0, 1))
+        through = _distance_to_plane(normal, dr.dot(normal, self._vertex(first, 0) - x), d)
+        hits_plane = dr.isfinite(through)
+        hit = d * dr.select(hits_plane, through, 0)
+        axis = dr.select(abs(normal.x) > 0.9, mi.Vector3f(0, 1, 0), mi.Vector3f(1, 0, 0))
+        across = dr.cross(normal, axis)
+        along = dr.cross(normal, across)
+
+        def edge_body(e, inside, near, near_q, near_edge, x, n, d, hit):
+            v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
+            # even-odd rule in the light's plane
+            y_i, y_j = dr.dot(v_i - hit, across), dr.dot(v_j - hit, across)
+            x_i, x_j = dr.dot(v_i - hit, along), dr.dot(v_j - hit, along)
+            crosses = (y_i > 0) != (y_j > 0)
+            right = x_i - y_i * (x_j - x_i) / dr.select(crosses, y_j - y_i, 1) > 0
+            inside = inside ^ (crosses & right)
+            above, v_i, v_j = _clip_to_horizon(v_i, v_j, n)
+            q, chord2 = _nearest_on_arc(v_i, v_j, d)
+            closer = above & (chord2 < near)
+            return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q), dr.select(closer, e, near_edge), x, n,
+                    d, hit)
+
+        start = (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.UInt32(0), x, n, d, hit)
+        _, inside, chord2, q, edge, *_ = dr.while_loop(start, lambda e, *_: e < last, edge_body, mode="symbolic")
+        inside &= hits_plane
+        return inside, dr.select(inside, through, dr.inf), dr.select(inside, 0, chord2), dr.select(inside, d, q), edge
 
     def _vertex(self, edge, end: int):
         return dr.gather(mi.Point3f, self.edges, 2 * edge + end)

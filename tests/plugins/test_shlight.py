@@ -143,6 +143,58 @@ def test_light_seen_from_its_front_shows_its_radiance_and_its_back_is_dark(folde
     np.testing.assert_array_equal(np.array(emitter.eval(si)), [[3, 0], [2, 0], [1, 0]])
 
 
+SCREEN = ('<shape type="rectangle"><transform name="to_world"><scale x="0.5" y="0.5" z="{z}"/><rotate y="1" angle="90"/>'
+          '<translate y="0.6"/></transform>{emitter}</shape>')
+
+
+def screen(radiance, z=1, more=""):
+    """A light that stands upright on the floor and shines to its right, to its left if `z` is -1."""
+    return SCREEN.format(z=z, emitter=f'<emitter type="shlight">{RADIANCE[radiance]}{more}</emitter>')
+
+
+@pytest.mark.parametrize("integrator", ["path", "direct", "prb", "ptracer"])
+@pytest.mark.parametrize("radiance", ["rgb", "checkerboard"])
+def test_two_sided_light_is_two_lights_back_to_back(folder, integrator, radiance):
+    """The sum of the pictures of its two sides."""
+    if integrator == "ptracer" and radiance == "checkerboard":
+        pytest.skip("the particle tracer samples no wavelengths of textures")
+    set_variant("llvm_ad_rgb")
+    lights = [screen(radiance, more='<boolean name="two_sided" value="true"/>'), screen(radiance), screen(radiance, -1)]
+    found, right, left = (np.array(mi.render(load(folder, integrator, text), spp=512, seed=3)) for text in lights)
+    assert right.mean() > 1e-3 and left.mean() > 1e-3
+    assert np.abs(right - left).mean() > 0.5 * right.mean()
+    assert np.abs(found - right - left).mean() < 0.05 * found.mean()
+    assert found.mean() == pytest.approx(right.mean() + left.mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("radiance", ["rgb", "checkerboard"])
+def test_methods_of_a_two_sided_light(folder, radiance):
+    """Radiance on both sides; a sampled point belongs to either, with half the density."""
+    set_variant("llvm_ad_rgb")
+    more = '<boolean name="two_sided" value="true"/>'
+    scenes = [load(folder, "path", screen(radiance, more=text)) for text in (more, "")]
+    ours, plain = (scene.emitters()[0] for scene in scenes)
+    si = dr.zeros(mi.SurfaceInteraction3f, 3)
+    si.wi, si.uv = mi.Vector3f([0.6, 0, 1], [0, 0.6, 0], [0.8, -0.8, 0]), mi.Point2f(0.1, 0.1)
+    seen = np.array(ours.eval(si))
+    np.testing.assert_array_equal(seen[:, 0], seen[:, 1])
+    assert seen[:, 0].min() > 0 and not seen[:, 2].any()
+    rng = mi.PCG32(256)
+    sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+    ps, weight = ours.sample_position(0, sample)
+    facing = np.array(dr.dot(ps.n, plain.sample_position(0, sample)[0].n))
+    assert 0.4 < (facing > 0.99).mean() < 0.6 and (np.abs(facing) > 0.99).all()
+    np.testing.assert_allclose(np.array(weight * ours.pdf_position(ps)), 1, rtol=1e-5)
+    np.testing.assert_allclose(np.array(ours.pdf_position(ps)), 0.5 * np.array(plain.pdf_position(ps)), rtol=1e-6)
+    it = dr.zeros(mi.Interaction3f, 256)
+    for side in (1, -1):
+        it.p = mi.Point3f(side, 0.5, 0.2)
+        ds, spectrum = ours.sample_direction(it, sample)
+        assert dr.all(ds.pdf > 0)
+        np.testing.assert_allclose(np.array(ours.pdf_direction(it, ds)), np.array(ds.pdf), rtol=1e-5)
+        np.testing.assert_allclose(np.array(spectrum * ds.pdf), np.array(ours.eval_direction(it, ds)), rtol=1e-5)
+
+
 def test_sampling_weight_steers_samples_as_with_area(folder):
     set_variant("llvm_ad_rgb")
 
@@ -251,7 +303,9 @@ def test_description(folder):
     scene = load(folder, "path", light(folder, "shlight", "rectangle", "rgb"))
     text = str(scene.emitters()[0])
     assert text.startswith("SHLight[") and "Rectangle 'light'" in text and "surface_area = 1" in text
-    assert "[3, 2, 1]" in text
+    assert "[3, 2, 1]" in text and "two_sided = false" in text and "subdivisions" not in text
+    textured = load(folder, "path", light(folder, "shlight", "rectangle", "checkerboard", '<integer name="subdivisions" value="32"/>'))
+    assert "subdivisions = 32" in str(textured.emitters()[0])
     assert "it must be inside a shape" in str(mi.load_dict({"type": "shlight"}))
 
 
@@ -262,6 +316,9 @@ BAD = [
     ('<boolean name="radiance" value="true"/>', ["'radiance' must be", "got True"]),
     ('<vector name="radiance" value="1, 2, 3"/>', ["'radiance' must be", '<rgb name="radiance"']),
     ('<rgb name="radiace" value="1, 2, 3"/>', ["'radiace'", "Did you mean 'radiance'?"]),
+    ('<string name="two_sided" value="yes"/>', ["'two_sided' must be true or false", "got 'yes'"]),
+    ('<integer name="subdivisions" value="0"/>', ["'subdivisions' must be an integer from 1 to 65536", "got 0"]),
+    ('<float name="subdivisions" value="2.5"/>', ["'subdivisions' must be an integer", "got 2.5"]),
     ('<integer name="order" value="8"/>', ["'order'", "got '8'", "Its parameters are 'radiance'"]),
 ]
 

@@ -1,6 +1,7 @@
 """Baking: arguments, progress, determinism, and scenes at the edge of what can be baked."""
 import warnings
 
+import drjit as dr
 import numpy as np
 import pytest
 
@@ -117,6 +118,18 @@ def test_many_launches_give_what_one_gives(table, monkeypatch):
     assert np.ptp(whole.visibility) == 1
     np.testing.assert_allclose(parts.visibility, whole.visibility, atol=0.01)
     np.testing.assert_allclose(parts.coeffs, whole.coeffs, atol=0.005)
+
+
+def test_launches_share_their_kernels(table, monkeypatch):
+    """More launches compile no more kernels: nothing of a launch, such as its first row, may be a constant of them."""
+    def kernels(rows):
+        monkeypatch.setattr("mi_shlight.transfer.bake.ROWS_PER_LAUNCH", rows)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            bake_transfer(table, 0, samples=16, max_edge=0.5)
+            return {entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])}
+
+    assert kernels(19) <= kernels(50)
 
 
 def test_progress_on_a_terminal_only(table, capsys):

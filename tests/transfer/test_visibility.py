@@ -15,7 +15,7 @@ from mi_shlight.errors import UnsupportedSceneWarning
 from mi_shlight.scene import mesh_arrays, polygon_lights
 from mi_shlight.transfer.cosine import cosine_transfer
 from mi_shlight.transfer.mesh import refine
-from mi_shlight.transfer.visibility import BakeLights, Occluders, shadowed_transfer
+from mi_shlight.transfer.visibility import BakeLights, Occluders, neighbour_stride, shadowed_transfer
 
 
 def transfer_at(scene, points, normals, order, samples, margin=0.0):
@@ -99,6 +99,18 @@ def test_light_covered_as_seen_from_the_side(build, margin):
     coeffs, visible = transfer_at(scene, [[4, 0, 0], [0, 0, -4]], [[0, 1, 0], [0, 1, 0]], 4, 256, margin)
     np.testing.assert_array_equal(visible, 0)
     np.testing.assert_array_equal(coeffs, 0)
+
+
+@pytest.mark.parametrize("plate, visible", [(None, 1), (0.6, 0), (1.35, 1)], ids=["nothing", "below", "above"])
+def test_closed_mesh_light(build, plate, visible):
+    """A box that shines stands in nobody's way itself, and a plate counts only before the faces that are seen."""
+    shapes = [build.box([-0.2, 0.9, -0.2], [0.2, 1.3, 0.2], "lamp", emitter={"type": "area"})]
+    if plate:
+        shapes.append(build.quad(build.level(6 if plate < 1 else 0.3, plate), "plate"))
+    points = [[0, 0, 0], [0.7, 0, 0.5], [0.15, 0.1, 0]]
+    coeffs, seen = transfer_at(build.scene(*shapes), points, [[0, 1, 0]] * 3, 3, 64)
+    np.testing.assert_array_equal(seen, visible)
+    np.testing.assert_allclose(coeffs, visible * np.tile(cosine([0, 1, 0], 3), (3, 1)), atol=2e-6)
 
 
 def test_what_is_behind_the_light_does_not_matter(build):
@@ -212,13 +224,18 @@ def unit(v):
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def nearest(loops, x, n, d, margin=0.0):
-    lights = BakeLights([SimpleNamespace(outline=edges_of(loops), normal=NORMAL)], margin)
+def nearest_of(lights, x, n, d, met=dr.inf, group=(0, 1)):
+    """`BakeLights.nearest` as arrays, for points (3,) or (D, 3), directions (D, 3) and a direction already known."""
     wide = lambda kind, v: kind(*np.broadcast_to(v, d.shape).T.copy())
-    q, distance, farthest, found = lights.nearest((mi.UInt32(0), mi.UInt32(1)), wide(mi.Point3f, x), wide(mi.Normal3f, n),
-                                                  wide(mi.Vector3f, d))
-    dr.eval(q, distance, farthest, found)
-    return np.array(q).T, np.array(distance), np.array(farthest), np.array(found) & np.ones(len(d), bool)
+    group = mi.UInt32(group[0]), mi.UInt32(group[1])
+    answer = lights.nearest(group, wide(mi.Point3f, x), wide(mi.Normal3f, n), wide(mi.Vector3f, d), wide(mi.Vector3f, met))
+    dr.eval(answer)
+    q, distance, farthest, found, met = answer
+    return np.array(q).T, np.array(distance), np.array(farthest), np.array(found) & np.ones(len(d), bool), np.array(met).T
+
+
+def nearest(loops, x, n, d, margin=0.0):
+    return nearest_of(BakeLights([SimpleNamespace(polygons=[(edges_of(loops), NORMAL)])], margin), x, n, d)[:4]
 
 
 def directions(n, count, seed):
@@ -280,6 +297,79 @@ def test_margin():
     np.testing.assert_allclose(moved[outside], reach[outside], atol=2e-3)
     still = np.arccos(np.clip((grown * d).sum(axis=1), -1, 1))
     np.testing.assert_allclose(still[outside], (apart - moved)[outside], atol=2e-3)
+
+
+def cloud(count, seed):
+    """Triangles (count, 3, 3) of all sizes about a point at the origin, some below its horizon."""
+    rng = np.random.default_rng(seed)
+    size = 5 / np.sqrt(count) * 10 ** rng.uniform(-1, 0, (count, 1, 1))
+    return rng.uniform([-2, -0.3, -2], [2, 2, 2], (count, 1, 3)) + rng.normal(size=(count, 3, 3)) * size
+
+
+def triangle_lights(triangles):
+    outlines = [np.stack([t, np.roll(t, -1, axis=0)], axis=1) for t in triangles]
+    return [SimpleNamespace(polygons=[(o, unit(np.cross(t[1] - t[0], t[2] - t[0])))]) for o, t in zip(outlines, triangles)]
+
+
+def nearest_by_force(triangles, n, d, m=100):
+    """(angle from the origin's directions `d` to the nearest one of all triangles above the horizon, distances (D, T) of direct hits)."""
+    t = np.arange(m)[:, None, None, None] / m
+    rim = (triangles + t * (np.roll(triangles, -1, axis=1) - triangles)).reshape(-1, 3)
+    angle = 2 * np.arcsin(np.sqrt(np.maximum(2 - 2 * (d @ unit(rim[rim @ n > 0]).T).max(axis=1), 0)) / 2)
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    volume = lambda u, v: d @ np.cross(u, v).T          # sides of the direction: all of one sign inside the triangle
+    sides = np.stack([volume(a, b), volume(b, c), volume(c, a)])
+    whole = np.einsum("tc,tc->t", a, np.cross(b, c))
+    total = sides.sum(axis=0)
+    hit = (np.abs(np.sign(sides).sum(axis=0)) == 3) & (total * whole > 0)
+    return np.where(hit.any(axis=1), 0, angle), np.where(hit, whole / np.where(total == 0, 1, total), np.inf)
+
+
+@pytest.mark.parametrize("count", [12, 200])
+def test_nearest_of_many_lights(count):
+    """The nearest direction, its distance and the farthest light on it, against a look at all triangles. Lights that have moved, and a
+    direction met before, change nothing."""
+    n, before, triangles = unit(np.array([0.2, 1, -0.1])), cloud(count, 3), cloud(count, 5)
+    d = directions(n, 200, 9)
+    angle, hits = nearest_by_force(triangles, n, d)
+    first, farthest = hits.min(axis=1), np.where(np.isfinite(hits), hits, 0).max(axis=1)
+    assert (angle == 0).sum() > 5 and (angle > 0.02).sum() > 10 and (count < 100 or (farthest > first).any())
+    lights, moved = BakeLights(triangle_lights(triangles), 0.0), BakeLights(triangle_lights(before), 0.0)
+    answers = [nearest_of(lights, np.zeros(3), n, d), nearest_of(moved.at(lights.edges, lights.normal), np.zeros(3), n, d)]
+    answers.append(nearest_of(lights, np.zeros(3), n, d, met=answers[0][4][::-1]))
+    for q, distance, far, found, _ in answers:
+        assert found.all()
+        own = 2 * np.arcsin(np.linalg.norm(q - d, axis=1) / 2)
+        np.testing.assert_allclose(own, angle, atol=5e-3)
+        direct = (angle == 0) & (own < 1e-6)             # but for a rim, where rounding decides
+        assert direct.sum() >= (angle == 0).sum() - 1
+        np.testing.assert_allclose(distance[direct], first[direct], rtol=1e-4)
+        np.testing.assert_allclose(far[direct], farthest[direct], rtol=1e-4)
+        assert (q @ n > -1e-5).all()
+
+
+def test_lights_of_many_polygons():
+    """Each group has its own, whatever their numbers."""
+    n = np.array([0, 1.0, 0])
+    d = directions(n, 50, 13)
+    small, large = cloud(3, 1), cloud(40, 2)
+    lights = [SimpleNamespace(polygons=[light.polygons[0] for light in triangle_lights(t)]) for t in (small, large, small[:1])]
+    together = BakeLights(lights, 0.1)
+    for k, light in enumerate(lights):
+        alone = nearest_of(BakeLights([light], 0.1), np.zeros(3), n, d)
+        for a, b in zip(nearest_of(together, np.zeros(3), n, d, group=(k, k + 1)), alone):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 21, 34, 1000, 1024, 65536])
+def test_order_of_the_directions(samples):
+    """Each direction once; from the second on most are close to the one before."""
+    order = np.arange(samples) * neighbour_stride(samples) % samples
+    assert len(set(order.tolist())) == samples
+    u, angle = (order + 0.5) / samples, 2 * np.pi * order * (math.sqrt(5) - 1) / 2
+    d = np.stack([np.sqrt(u) * np.cos(angle), np.sqrt(u) * np.sin(angle), np.sqrt(1 - u)], axis=1)
+    if samples > 100:
+        assert np.median(np.linalg.norm(np.diff(d, axis=0), axis=1)) < 4 / math.sqrt(samples)
 
 
 def five_lights(build, blocker):

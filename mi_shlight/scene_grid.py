@@ -1,0 +1,78 @@
+"""The light grid over the receivers of a scene."""
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .arrays import array3
+from .grid.cells import Cells
+from .grid.choose import cheapest_grid
+from .grid.nodes import NodeTable
+from .grid.split import NearLists
+
+SAMPLES = 4096
+"""Points of the receivers, by area, at which the resolution ``auto`` looks how many facets are near."""
+
+PADDING = 1e-3
+"""Share of the receivers' diagonal by which the grid is larger: rounding leaves no hit outside, and a floor alone fills a box."""
+
+
+class SceneGrid:
+    """Where the grid stands, and what is near to its cells; what is at its points is made anew for each picture.
+
+    Parameters
+    ----------
+    receivers : list of Receiver
+        The grid fills their bounding box.
+    groups : sequence of int
+        Light group g has the facets ``groups[g] .. groups[g + 1] - 1``.
+    resolution : int or str
+        Grid points along each axis, or ``"auto"``: whatever costs least.
+    interpolation : str
+    max_error : float
+        Near and far are told apart by it; 0: everything is far.
+    order, method : int, str
+    """
+
+    DRJIT_STRUCT = dict.fromkeys(("_lower", "_upper", "_samples", "_cells", "_near"), object)
+
+    def __init__(self, receivers: list, groups, resolution, interpolation: str, max_error: float, order: int, method: str):
+        boxes = [r.shape.bbox() for r in receivers if not r.black]
+        lower, upper = (np.array([np.ravel(getattr(box, end)) for box in boxes] or [[0, 0, 0]], dtype=float) for end in ("min", "max"))
+        lower, upper = lower.min(axis=0), upper.max(axis=0)
+        padding = PADDING * max(np.linalg.norm(upper - lower), 1e-30)
+        self._lower, self._upper = (array3(mi.Float)(corner.tolist()) for corner in (lower - padding, upper + padding))
+        dr.make_opaque(self._lower, self._upper)
+        self._samples = _samples([r.shape for r in receivers if not r.black]) if resolution == "auto" else None
+        self._groups, self._resolution, self._interpolation = list(groups), resolution, interpolation
+        self._max_error, self._order, self._method = max_error, order, method
+        self._cells = self._near = None
+
+    def prepare(self, facets, points: int) -> None:
+        """Find out which facets are near to which cells, for a picture of so many points. `facets`: placed, with their radiance."""
+        if self._resolution != "auto":
+            self._cells = Cells(self._lower, self._upper, self._resolution)
+            self._near = NearLists(self._cells, facets, self._groups, self._max_error or None)
+            return
+        self._cells, self._near = cheapest_grid(facets, self._groups, self._lower, self._upper, self._order, points, self._samples,
+                                                self._max_error)
+
+    def nodes(self, facets) -> NodeTable | None:
+        """The table of the grid's points, with the derivatives of the facets; None where exact evaluation of all facets costs less."""
+        if self._cells is None:
+            return None
+        return NodeTable(self._cells, facets, self._near, self._order, self._interpolation, self._method)
+
+
+
+def _samples(shapes: list):
+    """Points of the shapes, uniform by area, the same for each call."""
+    area = np.array([np.ravel(shape.surface_area())[0] for shape in shapes])
+    counts = np.ceil(SAMPLES * area / max(area.sum(), 1e-30)).astype(int)
+    points = []
+    for shape, count in zip(shapes, counts):
+        random = mi.PCG32(size=int(count))
+        found = shape.sample_position(0, mi.Point2f(random.next_float32(), random.next_float32())).p
+        points.append(np.array(found + dr.zeros(mi.Point3f, int(count))))
+    return array3(mi.Float)(np.concatenate(points, axis=1))
