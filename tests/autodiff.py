@@ -4,7 +4,7 @@ import drjit as dr
 
 def derivative(value, number, mode: str) -> float:
     """d value(t) / dt at t = 0 of a function of one `number`; `mode`: "forward" or "backward"."""
-    t = number(0)
+    t = dr.opaque(number, 0)                          # Dr.Jit 1.5 takes a literal for as wide as its first use
     dr.enable_grad(t)
     result = value(t)
     if mode == "backward":

@@ -6,7 +6,9 @@ import pytest
 import reference
 from autodiff import derivative
 from mi_shlight import project_mesh, project_polygon
-from mi_shlight.light.mesh import MeshLight, mesh_shader, mesh_topology, project_mesh_light, triangle_solid_angle
+from mi_shlight.light.mesh import (
+    MeshLight, mesh_shader, mesh_topology, project_mesh_light, triangle_solid_angle, zonal_mesh_shader)
+from mi_shlight.light.zonal import times_pole_value, zonal_lambert
 
 # A closed skew box of triangles, a quad and pentagons that are not plane; all faces are positive from inside.
 BOX = np.array([[-1, -1, -1], [1, -1.2, -1], [1.1, 1, -0.9], [-0.9, 1, -1.1], [-1, -1.1, 1], [1.2, -1, 1], [1, 1.1, 0.8], [-1, 0.9, 1.1],
@@ -417,3 +419,68 @@ def test_mitsuba_mesh():
 def test_bad_arguments(arguments, error, text):
     with pytest.raises(error, match=r"project_mesh\(\): " + text):
         project_mesh(**{"vertices": BOX, "faces": BOX_FACES, "radiance": np.ones(9), "x": (0, 0, 0), "order": 2, **arguments})
+
+
+# Several lights in one, and what callers in kernels ask for.
+
+def three_lights(number):
+    """The box, the cube and a quad with different radiance, with one vertex list, and the part of each face."""
+    quad, quad_faces, _ = textured_quad(2)
+    vertices = np.concatenate([BOX, CUBE * 0.3 + [4, 0, 0], quad - [0, 3, 0]])
+    faces = [np.array(face) for face in BOX_FACES]
+    faces += [np.array(face) + len(BOX) for face in CUBE_FACES] + list(quad_faces + len(BOX) + len(CUBE))
+    part = np.repeat([0, 1, 2], [len(BOX_FACES), len(CUBE_FACES), len(quad_faces)])
+    return number(vertices.ravel()), vertices, faces, part, np.random.default_rng(3).uniform(0.2, 2, (len(faces), 3))
+
+
+@pytest.mark.parametrize("method", ["auto", "edge"])
+def test_parts(precision, method):
+    """Each part alone is the light alone; they are told apart in one kernel."""
+    positions, vertices, faces, part, radiance = three_lights(precision.Float)
+    light = MeshLight(positions, mesh_topology(faces, part), [precision.Float(channel) for channel in radiance.T], True)
+    points = np.array([OUTSIDE, (2.5, 0.4, 0.3), (0.3, -2.8, 1), (200.0, -30.0, 90.0)])
+    x = precision.Array3(*map(precision.Float, points.T))
+    for k in range(3):
+        index = dr.opaque(dr.uint32_array_t(precision.Float), k)
+        coeffs = project_mesh_light(light.part(index), x, 4, method)
+        dr.eval(coeffs)
+        own = [face for face, p in zip(faces, part) if p == k]
+        found = np.array([np.array(c) for c in coeffs], dtype=float)
+        expected = projected(precision, vertices, own, radiance[part == k], points, 4, method, one_sided=True)
+        assert np.abs(found - expected).max() < 100 * precision.eps * max(1, np.abs(expected).max())
+        assert np.abs(expected).max() > 1e-3
+
+
+def test_radiance_as_a_function(precision):
+    """Of the faces' numbers, with four channels: as gathered where it is needed from tables of the caller's."""
+    positions, _, faces, part, radiance = three_lights(precision.Float)
+    tables = [precision.Float(channel) for channel in (*radiance.T, radiance.sum(axis=1))]
+    topology = mesh_topology(faces, part)
+    x = precision.vector(OUTSIDE)
+    by_function = MeshLight(positions, topology, lambda face: [dr.gather(precision.Float, table, face) for table in tables], True)
+    by_table = MeshLight(positions, topology, tables[:3], True)
+    transfer = [precision.Float(float(t)) for t in np.cos(np.arange(16))]
+    four, three = (np.array(mesh_shader(transfer, 3, "edge")(light.part(0), x)).ravel() for light in (by_function, by_table))
+    assert np.allclose(four[:3], three, rtol=20 * precision.eps) and four[3] == pytest.approx(three.sum(), rel=100 * precision.eps)
+
+
+@pytest.mark.parametrize("method", ["auto", "edge"])
+def test_zonal_shader(precision, method):
+    """Transfer that is symmetric about an axis: as the full one, from inside, outside and afar."""
+    axis = np.array([0.6, 0.0, 0.8])
+    weights = zonal_lambert(4)
+    light = MeshLight(precision.Float(BOX.ravel()), mesh_topology([np.array(f) for f in BOX_FACES]), RADIANCE)
+    points = precision.Array3(*(precision.Float(list(c)) for c in zip(INSIDE, OUTSIDE, (300.0, 20.0, 100.0))))
+    found = np.array(zonal_mesh_shader(times_pole_value(weights), method)(light, points, precision.vector(axis)))
+    basis = reference.sh_basis(axis, 4)
+    l = np.repeat(np.arange(5), 2 * np.arange(5) + 1)
+    transfer = np.array(weights)[l] * np.sqrt(4 * np.pi / (2 * l + 1)) * basis
+    expected = np.array(mesh_shader([precision.Float(t) for t in transfer.tolist()], 4, method)(light, points))
+    assert np.abs(found - expected).max() < 200 * precision.eps * np.abs(expected).max()
+
+
+def test_pairs_stand_for_their_product(precision):
+    light = MeshLight(precision.Float(BOX.ravel()), mesh_topology([np.array(f) for f in BOX_FACES]), RADIANCE)
+    x, apex = precision.vector(OUTSIDE), precision.vector((0, 0, 1))
+    pair, product = (light.sum(term, x, apex, 1)[0] for term in (lambda a, b, _: [(a[0], b[1])], lambda a, b, _: [a[0] * b[1]]))
+    assert np.allclose(np.array(pair), np.array(product), rtol=40 * precision.eps) and np.abs(np.array(pair)).min() > 1e-3

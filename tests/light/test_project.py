@@ -8,7 +8,7 @@ from autodiff import derivative
 from mi_shlight import project_polygon, sh_basis
 from mi_shlight.light import recurrence
 from mi_shlight.light.polygon import EdgeBuffer, VertexList, interior_direction
-from mi_shlight.light.project import light_shader, prefers_cubature
+from mi_shlight.light.project import default_error, light_shader, prefers_cubature
 from mi_shlight.light.quadrature import demand
 
 QUAD = np.array([[-0.5, -0.4, 1.2], [0.6, -0.5, 1.0], [0.7, 0.5, 0.8], [-0.4, 0.6, 1.0]])
@@ -61,12 +61,18 @@ def test_reference(precision, method, case):
         assert error <= 30 * precision.eps * max(edges.sum() / omega, 1) / min(edges.min(), 1)
 
 
-@pytest.mark.parametrize("polygon, order", [(QUAD, order) for order in (0, 1, 2, 3, 8, 13)] + [(CONCAVE, 2), (CONCAVE, 8), (CONCAVE, 24)])
+@pytest.mark.parametrize("polygon, order", [(QUAD, order) for order in (0, 1, 2, 3, 8, 13)] + [(CONCAVE, 2), (CONCAVE, 8)])
 def test_quadrature(polygon, method, order):
-    p = [dr.llvm.ad.Array3f64(*map(float, v)) for v in polygon]
+    """In Python floats, which compile nothing."""
+    ours = np.array(project_polygon(polygon.tolist(), (0.1, 0.2, -0.1), order, method))
+    assert relative(ours, reference.coefficients_quadrature(polygon, (0.1, 0.2, -0.1), order, n=48)) < 1e-11
+
+
+@pytest.mark.parametrize("order", [8, 24])
+def test_quadrature_of_compiled_code(method, order):
+    p = [dr.llvm.ad.Array3f64(*map(float, v)) for v in CONCAVE]
     ours = np.array([c[0] for c in project_polygon(p, dr.llvm.ad.Array3f64(0.1, 0.2, -0.1), order, method)])
-    expected = reference.coefficients_quadrature(polygon, (0.1, 0.2, -0.1), order, n=48)
-    assert relative(ours, expected) < 1e-11
+    assert relative(ours, reference.coefficients_quadrature(CONCAVE, (0.1, 0.2, -0.1), order, n=48)) < 1e-11
 
 
 @pytest.mark.parametrize("order", [17, 24])
@@ -152,7 +158,8 @@ def test_shader_equals_dot_product(precision, method, order):
     transfer = [precision.Float(float(t)) for t in np.cos(np.arange((order + 1) ** 2))]
     v, x = [precision.vector(p) for p in QUAD], precision.vector((0.1, 0.2, 0.1))
     shaded = light_shader(transfer, order, method)(VertexList(v), x, interior_direction(v, x))[0]
-    coeffs = project(precision, QUAD, (0.1, 0.2, 0.1), order, method)
+    same_points = default_error(precision.Float(0))                             # of cubature
+    coeffs = np.array(project_polygon(QUAD.tolist(), (0.1, 0.2, 0.1), order, method, max_error=same_points))
     expected = np.cos(np.arange((order + 1) ** 2)) @ coeffs
     assert shaded == pytest.approx(expected, abs=30 * (order + 1) * precision.eps * np.abs(coeffs).max())
 
@@ -344,12 +351,11 @@ def test_lights_in_buffers(precision, method, corners):
         return np.array(total), kernels
 
     total, kernels = shade_all(polygons)
-    expected = 0
-    for polygon in polygons:
-        coeffs = project_polygon([precision.vector(v) for v in polygon], x, order, method)
-        expected = expected + sum(t * c for t, c in zip(transfer, coeffs))
+    points = np.array(x, dtype=float).T.tolist()
+    expected = np.array([sum(np.cos(np.arange(16)) @ project_polygon(polygon.tolist(), point, order) for polygon in polygons)
+                         for point in points])
     near = slice(0, 2) if method != "quadrature" else slice(2, 3)
-    assert np.allclose(total[near], np.array(expected)[near], rtol=2e-5 if precision.eps > 1e-10 else 1e-10, atol=0)
+    assert np.allclose(total[near], expected[near], rtol=2e-5 if precision.eps > 1e-10 else 1e-10, atol=0)
     assert kernels[-1] == shade_all([regular(corners[k % len(corners)], 0.01 * k) for k in range(100)])[1][-1]
 
 
