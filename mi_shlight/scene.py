@@ -132,9 +132,12 @@ class Fingerprint:
 
     def __init__(self, scene):
         self._held = []
-        self.geometry, self.lights = [], []
+        self.geometry, self.lights, self.light_faces = [], [], []
         for shape in scene.shapes():
             (self.lights if shape.is_emitter() else self.geometry).append((shape_index(shape), self._content(shape)))
+            if shape.is_emitter():                    # Mitsuba writes the two faces of a rectangle anew when it moves
+                fixed = shape.class_name() == "Rectangle" or not shape.is_mesh()
+                self.light_faces.append((shape_index(shape), None if fixed else shape.faces_buffer().index))
 
     def _content(self, shape) -> tuple:
         if not shape.is_mesh():

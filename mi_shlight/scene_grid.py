@@ -28,7 +28,7 @@ class SceneGrid:
     groups : sequence of int
         Light group g has the facets ``groups[g] .. groups[g + 1] - 1``.
     resolution : int or str
-        Grid points along each axis, or ``"auto"``: whatever costs least.
+        Grid points along each axis, or ``"auto"``: what costs least for the first picture, and for others of its size.
     interpolation : str
     max_error : float
         Near and far are told apart by it; 0: everything is far.
@@ -47,16 +47,17 @@ class SceneGrid:
         self._samples = _samples([r.shape for r in receivers if not r.black]) if resolution == "auto" else None
         self._groups, self._resolution, self._interpolation = list(groups), resolution, interpolation
         self._max_error, self._order, self._method = max_error, order, method
-        self._cells = self._near = None
+        self._cells = None if resolution == "auto" else Cells(self._lower, self._upper, resolution)
+        self._near = self._points = None
 
     def prepare(self, facets, points: int) -> None:
         """Find out which facets are near to which cells, for a picture of so many points. `facets`: placed, with their radiance."""
-        if self._resolution != "auto":
-            self._cells = Cells(self._lower, self._upper, self._resolution)
+        if self._resolution == "auto" and points != self._points:
+            self._cells, self._near = cheapest_grid(facets, self._groups, self._lower, self._upper, self._order, points, self._samples,
+                                                    self._max_error)
+            self._points = points
+        elif self._cells is not None:
             self._near = NearLists(self._cells, facets, self._groups, self._max_error or None)
-            return
-        self._cells, self._near = cheapest_grid(facets, self._groups, self._lower, self._upper, self._order, points, self._samples,
-                                                self._max_error)
 
     def nodes(self, facets) -> NodeTable | None:
         """The table of the grid's points, with the derivatives of the facets; None where exact evaluation of all facets costs less."""

@@ -130,6 +130,7 @@ from ..light.project import METHODS, default_error, light_shader, project_light
 from ..light.quadrature import node_tables
 from ..light.zonal import times_pole_value, zonal_lambert, zonal_light_shader, zonal_shader
 from ..lights import LightTable
+from ..moving import MovingLights
 from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
 from ..scene_grid import SceneGrid
 from ..sh.basis import check_order
@@ -215,7 +216,15 @@ class SceneState:
         self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
         self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
         self.bake_lights = BakeLights(self.lights, 0.0)
+        self.moving = MovingLights(self.lights)
         self.lookup = self.grid = None
+
+    def follow(self, seen: Fingerprint) -> bool:
+        """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""
+        if self.seen.geometry != seen.geometry or self.seen.light_faces != seen.light_faces or not self.moving.follow():
+            return False
+        self.seen = seen
+        return True
 
     def make_grid(self, resolution, interpolation: str, max_error: float, order: int, method: str) -> None:
         """Set up the light grid."""
@@ -230,9 +239,9 @@ class SceneState:
 
 def moved(old: list, new: list) -> float:
     """Largest distance any vertex of the lights' outlines has moved; infinite if lights or edges were added or removed."""
-    if [o.shape for o in old] != [n.shape for n in new]:
+    if [len(o) for o in old] != [len(n) for n in new]:
         return float("inf")
-    return max(float(np.linalg.norm(o - n, axis=-1).max()) for o, n in zip(old, new))
+    return float(np.linalg.norm(np.concatenate(old) - np.concatenate(new), axis=-1).max())
 
 
 def build():
@@ -279,19 +288,21 @@ def build():
                 return self._transfer
             seen = Fingerprint(scene)
             old = self._state
-            if old is None or (old.seen.geometry, old.seen.lights) != (seen.geometry, seen.lights):
+            changed = old is None or (old.seen.geometry, old.seen.lights) != (seen.geometry, seen.lights)
+            # Without a look-up the last attempt failed, and what it found out about the transfer does not count.
+            same_geometry = old is not None and old.lookup is not None and old.seen.geometry == seen.geometry
+            if changed and not (old and old.follow(seen)):
                 check_attached(scene)
                 self._state = SceneState(scene, self.strict, seen)
                 if self.grid_resolution:
                     self._state.make_grid(self.grid_resolution, self.grid_interpolation, self.grid_error, self.order, self.method)
             if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
                 return None
-            if self._state.lookup is None:
-                # Without a look-up the last attempt failed, and what it found out about the transfer does not count.
-                same_geometry = old is not None and old.lookup is not None and old.seen.geometry == seen.geometry
+            if changed or self._state.lookup is None:
+                lookup, self._state.lookup = old and old.lookup, None
                 transfer = self._current_transfer(scene, same_geometry, progress)
                 keep = same_geometry and transfer is self._transfer
-                self._state.lookup = old.lookup if keep else transfer.look_up(scene)
+                self._state.lookup = lookup if keep else transfer.look_up(scene)
                 self._transfer = transfer
             return self._transfer
 

@@ -13,13 +13,13 @@ LAYERS = (
     {"light"},
     {"grid"},
     {"scene"},
-    {"lights", "scene_grid"},
+    {"lights", "moving", "scene_grid"},
     {"transfer"},
     {"plugins"},
     {"exr", "rendering", "panel", "compare", "motion", "animation"},
     {"cli", "__main__"},
 )
-USES_MITSUBA = {"scene", "lights", "scene_grid", "transfer", "plugins", "rendering", "compare", "animation", "cli"}
+USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "plugins", "rendering", "compare", "animation", "cli"}
 
 
 def modules():
