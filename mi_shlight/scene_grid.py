@@ -39,7 +39,7 @@ class SceneGrid:
 
     def __init__(self, receivers: list, groups, resolution, interpolation: str, max_error: float, order: int, method: str):
         boxes = [r.shape.bbox() for r in receivers if not r.black]
-        lower, upper = (np.array([np.ravel(getattr(box, end)) for box in boxes] or [[0, 0, 0]], dtype=float) for end in ("min", "max"))
+        lower, upper = (np.array([np.ravel(getattr(box, end)) for box in boxes] or [[0, 0, 0]], float) for end in ("min", "max"))
         lower, upper = lower.min(axis=0), upper.max(axis=0)
         padding = PADDING * max(np.linalg.norm(upper - lower), 1e-30)
         self._lower, self._upper = (array3(mi.Float)(corner.tolist()) for corner in (lower - padding, upper + padding))
@@ -66,12 +66,11 @@ class SceneGrid:
         return NodeTable(self._cells, facets, self._near, self._order, self._interpolation, self._method)
 
 
-
 def _samples(shapes: list):
     """Points of the shapes, uniform by area, the same for each call."""
     area = np.array([np.ravel(shape.surface_area())[0] for shape in shapes])
     counts = np.ceil(SAMPLES * area / max(area.sum(), 1e-30)).astype(int)
-    points = []
+    points = [np.zeros((3, 1))]                       # for a scene in which nothing is lit
     for shape, count in zip(shapes, counts):
         random = mi.PCG32(size=int(count))
         found = shape.sample_position(0, mi.Point2f(random.next_float32(), random.next_float32())).p
