@@ -47,6 +47,23 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
    - Distance in scene units by which a light's vertices may move before the transfer is baked again. Optimisations of a light's
      place run faster with a margin of several steps. Of no effect with ``pixel``. (Default: 0)
 
+ * - grid_resolution
+   - |int| or |string|
+   - For scenes with dozens of lights or more: coefficients of all lights together, and their gradients, at so many points along each axis
+     of the receivers' bounding box, 2 to 256, interpolated in between (Wu et al. 2020, who take 8). ``auto``: what costs least, or none.
+     0: no grid, all lights are evaluated at each hit. Not in spectral variants. (Default: 0)
+
+ * - grid_interpolation
+   - |string|
+   - ``hermite``; for comparison ``tricubic`` (Wu et al., algorithm 4), ``trilinear``, ``taylor``, ``inverse_distance``, see
+     :py:class:`mi_shlight.LightGrid`. (Default: ``hermite``)
+
+ * - grid_error
+   - |float|
+   - Error that interpolation may cause, as a part of what a surface that faces the light sends. Lights that would cause more in a cell of
+     the grid, those close to it and those in whose plane it lies, are evaluated at the hit itself. 0: none is, as in the paper.
+     (Default: 0.001)
+
  * - strict
    - |bool|
    - Turn warnings about what is left out of the picture, and about stale transfer, into errors. (Default: false)
@@ -69,6 +86,11 @@ edges are shared. Measured, the mean error of a floor under a light with waves o
 0.03 % in 128, the default, 0.006 % in 512.
 Up to four lights each have their own visibility, in which the other lights are obstacles; more than four share one, in which no light is.
 In spectral variants the radiance of meshes and textures is interpolated between wavelengths 5 nm apart.
+
+With a grid the time for a picture hardly depends on the number of lights: it is made anew for each picture, from where the lights are,
+while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in the mean and by
+nearly all hits (validation/grid.py); where a light changes from near to far, at the border of a cell, values jump by about that much.
+Derivatives go through the grid; that lists of near lights change with the lights is no part of them.
 
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
 normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
@@ -96,7 +118,8 @@ needed for the derivative; choose it by how far a light moves between two bakes.
 
 ``dr.freeze`` records functions that render and differentiate. Update the scene outside the function. Transfer per vertex is not
 baked inside either: call the integrator's ``prepare_scene(scene)`` before the first call and after each change of geometry. Otherwise the
-function keeps the transfer it has (``unshadowed`` and ``pixel`` need no more than the first call).
+function keeps the transfer it has (``unshadowed`` and ``pixel`` need no more than the first call). Lists of near lights are those of the
+last picture outside, too.
 
 .. tabs::
     .. code-tab:: xml
