@@ -88,8 +88,8 @@ Up to four lights each have their own visibility, in which the other lights are 
 In spectral variants the radiance of meshes and textures is interpolated between wavelengths 5 nm apart.
 
 With a grid the time for a picture hardly depends on the number of lights: it is made anew for each picture, from where the lights are,
-while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in the mean and by
-nearly all hits (validation/grid.py); where a light changes from near to far, at the border of a cell, values jump by about that much.
+while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in the mean and
+by nearly all hits (validation/grid.py); where a light changes from near to far, at the border of a cell, values jump by about that much.
 Derivatives go through the grid; that lists of near lights change with the lights is no part of them.
 
 Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 import sys
 import textwrap
+import zlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -84,6 +86,17 @@ def disc(radius: float, dome: float, rings: int, segments: int) -> Surface:
     return Surface(np.concatenate([ring.vertices, [[0.0, dome, 0.0]]]), np.concatenate([ring.faces, fan]))
 
 
+def ball(rings: int, segments: int) -> Surface:
+    """Unit sphere about y: `rings` circles of `segments` vertices between two poles."""
+    angle = np.pi * np.arange(1, rings + 1) / (rings + 1)
+    body = lathe(list(zip(np.sin(angle), -np.cos(angle))), segments)
+    k, south = np.arange(segments), len(body.vertices)
+    following, last = (k + 1) % segments, south - segments
+    caps = np.concatenate([np.stack([following, k, np.full_like(k, south)], axis=1),
+                           np.stack([last + k, last + following, np.full_like(k, south + 1)], axis=1)])
+    return Surface(np.concatenate([body.vertices, [[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]]]), np.concatenate([body.faces, caps]))
+
+
 def tube(path: np.ndarray, radius: np.ndarray, segments: int) -> Surface:
     """Open round tube along the polyline `path` (N, 3), which must never run along x, with a radius per point."""
     tangent = normalize(np.gradient(path, axis=0))
@@ -107,6 +120,16 @@ def write_ply(path: Path, surface: Surface) -> None:
     # Adding 0 turns -0 into 0
     vertices = (np.round(surface.vertices, 5) + 0.0).astype("<f4")
     path.write_bytes(header.encode() + vertices.tobytes() + faces.tobytes())
+
+
+def write_png(path: Path, pixels: np.ndarray) -> None:
+    """8-bit sRGB picture (H, W, 3) of less than 64 KB, stored without compression, whose bytes would depend on the library."""
+    raw = b"".join(b"\0" + row.tobytes() for row in pixels.astype(np.uint8))
+    size = struct.pack("<H", len(raw))
+    stored = b"\x78\x01\x01" + size + bytes(255 - b for b in size) + raw + struct.pack(">I", zlib.adler32(raw))
+    chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    header = struct.pack(">IIBBBBB", pixels.shape[1], pixels.shape[0], 8, 2, 0, 0, 0)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", stored) + chunk(b"IEND", b""))
 
 
 def flat_light(outline: list[tuple[float, float]], triangles: list[tuple[int, int, int]],
@@ -237,6 +260,81 @@ def cove() -> Surface:
     return Surface((local @ turn.T)[used], faces.reshape(-1, 3))
 
 
+# ------------------------------------------------------------------------------------------------ textured room
+def cushion() -> Surface:
+    """A cube of side 2 with round edges and bulging sides, to be scaled into upholstery."""
+    sphere = ball(23, 36)
+    return Surface(sphere.vertices / np.sum(sphere.vertices**8, axis=1, keepdims=True) ** (1 / 8), sphere.faces)
+
+
+def bottle() -> Surface:
+    """Vase on a foot, closed at the bottom, open at the top; height 1."""
+    wall = [(0.20 + 0.12 * math.sin(2.6 * t + 0.5) + 0.06 * math.cos(7 * t), t) for t in np.linspace(0, 1, 24)]
+    foot = transform(disc(wall[0][0], 0.0, 3, 32), rotation("x", 180), (0, 0, 0))
+    return merge([lathe(wall, 32), foot])
+
+
+def blue_waves() -> np.ndarray:
+    """Texture of the left light of `textured_room`: waves of blue, cyan and white, (56, 96, 3), 0 to 255."""
+    y, x = np.meshgrid((np.arange(56) + 0.5) / 56, (np.arange(96) + 0.5) / 96, indexing="ij")
+    wave = 0.5 + 0.5 * np.sin(9 * x + 2.5 * np.sin(5 * y + 1))
+    crest = wave**6
+    return np.round(255 * np.stack([0.2 + 0.8 * crest, 0.6 + 0.4 * wave, 0.9 + 0.1 * wave], axis=-1))
+
+
+def pink_rings() -> np.ndarray:
+    """Texture of the right light of `textured_room`: rings of pink, magenta and orange, (64, 88, 3), 0 to 255."""
+    y, x = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(88) + 0.5) / 64, indexing="ij")
+    ring = 0.5 + 0.5 * np.cos(14 * np.hypot(x - 0.5, y - 0.6))
+    return np.round(255 * np.stack([0.95 + 0.05 * ring, 0.35 + 0.5 * ring**2 + 0.15 * y, 0.85 - 0.45 * x * (1 - ring)], axis=-1))
+
+
+# ------------------------------------------------------------------------------------------------ many lights
+def pillar() -> Surface:
+    """Fluted column that narrows and turns by a third of a circle on its way up, with a domed end; height 2.2."""
+    rows, columns = 44, 45
+    t = np.linspace(0, 1, rows)[:, None]
+    azimuth = 2 * np.pi * np.arange(columns) / columns
+    end = np.sqrt(1 - np.clip((t - 0.9) / 0.1, 0, 1) ** 2)
+    radius = (0.42 - 0.2 * t**1.5) * (1 + 0.16 * np.cos(5 * (azimuth - 2.1 * t))) * end
+    ring = np.stack([radius * np.sin(azimuth), np.broadcast_to(2.2 * t, radius.shape), radius * np.cos(azimuth)], axis=-1)
+    k, tip = np.arange(columns), (rows - 1) * columns
+    fan = np.stack([tip - columns + k, tip - columns + (k + 1) % columns, np.full_like(k, tip)], axis=1)
+    return Surface(np.concatenate([ring[:-1].reshape(-1, 3), ring[-1:, 0]]),
+                   np.concatenate([grid_faces(rows - 1, columns, wrap_columns=True), fan]))
+
+
+TRIANGLE = Surface(np.array([[math.sin(a), math.cos(a), 0.0] for a in (0, -2 * math.pi / 3, 2 * math.pi / 3)]), np.array([[0, 1, 2]]))
+"""The light of `many_lights`: equilateral, its centre at the origin, facing +z; each copy has a transform of its own."""
+
+PANEL_CELLS, PANEL_LIGHTS = 11, 241
+"""A panel has PANEL_CELLS^2 square cells of two triangles each; the last of these 242 is left out."""
+
+
+def panel(position, target, size: float, colours) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(3 x 4 matrix from `TRIANGLE`, radiance) of the lights of a square panel that faces `target`.
+
+    `colours`: radiance (4, 3) at the lower left, lower right, upper left and upper right corner, linear in between.
+    """
+    normal = normalize(np.subtract(target, position).astype(float))
+    right = normalize(np.cross([0.0, 1.0, 0.0], normal))
+    frame = np.column_stack([right, np.cross(normal, right), normal])
+    cell = 1 / PANEL_CELLS
+    lights = []
+    for k in range(PANEL_LIGHTS):
+        row, column, upper = k // 2 // PANEL_CELLS, k // 2 % PANEL_CELLS, k % 2
+        corners = cell * np.array([(column + 1, row + 1), (column, row + 1), (column + 1, row)] if upper else
+                                  [(column, row), (column + 1, row), (column, row + 1)])
+        centre = corners.mean(axis=0)
+        spokes = 0.85 * size * (corners - centre)                   # a gap around each light: they can be turned alone
+        flat = np.linalg.lstsq(TRIANGLE.vertices[:, :2], spokes, rcond=None)[0].T
+        place = np.asarray(position, float) + size * (frame[:, :2] @ (centre - 0.5))
+        matrix = np.column_stack([frame[:, :2] @ flat, frame[:, 2], place])
+        u, v = centre
+        lights.append((matrix, np.array([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]) @ np.asarray(colours, float)))
+    return lights
+
+
 # ------------------------------------------------------------------------------------------------ scene files
 def xml_defaults(spp: int, width: int, height: int) -> str:
     values = {"spp": spp, "resx": width, "resy": height, "order": 8}
@@ -246,6 +344,12 @@ def xml_defaults(spp: int, width: int, height: int) -> str:
 INTEGRATOR = """\
     <integrator type="shprt">
         <integer name="order" value="$order"/>
+    </integrator>"""
+
+INTEGRATOR_WITH_GRID = """\
+    <integrator type="shprt">
+        <integer name="order" value="$order"/>
+        <string name="grid_resolution" value="auto"/>
     </integrator>"""
 
 INTEGRATOR_BY_PIXEL = """\
@@ -309,26 +413,42 @@ def xml_checkerboard(name: str, dark, light, repeats: float) -> str:
     </bsdf>"""
 
 
-def xml_radiance(radiance) -> str:
+def xml_radiance(radiance, extra: str = "") -> str:
     return f"""
         <emitter type="shlight">
-            <rgb name="radiance" value="{", ".join(map(str, radiance))}"/>
+            <rgb name="radiance" value="{", ".join(map(str, radiance))}"/>{extra}
         </emitter>"""
 
 
-def xml_shape(name: str, kind: str, operations: tuple[str, ...], bsdf: str = "", radiance=None) -> str:
-    """A built-in shape; `operations` are the elements of its to_world transform, first applied first."""
+def xml_textured(texture: str, subdivisions: int) -> str:
+    return f"""
+        <emitter type="shlight">
+            <texture name="radiance" type="bitmap">
+                <string name="filename" value="meshes/{texture}.png"/>
+            </texture>
+            <integer name="subdivisions" value="{subdivisions}"/>
+        </emitter>"""
+
+
+TWO_SIDED = """
+            <boolean name="two_sided" value="true"/>"""
+
+
+def xml_shape(name: str, kind: str, operations: tuple[str, ...], bsdf: str = "", radiance=None, emitter: str = "", file: str = "") -> str:
+    """A built-in shape or a mesh file; `operations` are the elements of its to_world transform, first applied first."""
     steps = "\n".join(f"            {op}" for op in operations)
     body = f"""
         <transform name="to_world">
 {steps}
         </transform>"""
+    if file:
+        body = f'\n        <string name="filename" value="meshes/{file}.ply"/>' + body
     if bsdf:
         body += f'\n        <ref id="{bsdf}"/>'
     if radiance is not None:
-        body += xml_radiance(radiance)
+        emitter = xml_radiance(radiance)
     return f"""\
-    <shape type="{kind}" id="{name}">{body}
+    <shape type="{kind}" id="{name}">{body}{emitter}
     </shape>"""
 
 
@@ -342,6 +462,16 @@ def xml_mesh(name: str, file: str, bsdf: str = "", radiance=None) -> str:
     return f"""\
     <shape type="ply" id="{name}">{body}
     </shape>"""
+
+
+def xml_triangle(name: str, matrix: np.ndarray, radiance: np.ndarray) -> str:
+    """A light of `many_lights`, on few lines."""
+    number = lambda v: f"{round(float(v), 3) + 0.0:g}"
+    values = " ".join(number(v) for v in matrix.ravel()) + " 0 0 0 1"
+    return f"""\
+<shape type="ply" id="{name}"><string name="filename" value="meshes/triangle.ply"/><boolean name="face_normals" value="true"/>
+<transform name="to_world"><matrix value="{values}"/></transform>
+<emitter type="shlight"><rgb name="radiance" value="{" ".join(number(c) for c in radiance)}"/></emitter></shape>"""
 
 
 def xml_scene(comment: str, *parts: str) -> str:
@@ -458,6 +588,91 @@ def inverse_room() -> str:
                                          'up="0, 1, 0"/>'), radiance=(12.0, 10.0, 7.0)))
 
 
+def textured_room() -> str:
+    def cushioned(name, size, place, bsdf, turn=0.0):
+        scale = " ".join(f'{axis}="{value}"' for axis, value in zip("xyz", size))
+        move = " ".join(f'{axis}="{value}"' for axis, value in zip("xyz", place))
+        steps = f"<scale {scale}/>", f'<rotate x="1" angle="{turn:g}"/>', f"<translate {move}/>"
+        return xml_shape(name, "ply", steps, bsdf, file="cushion")
+
+    return xml_scene(
+        "Purpose: two textured lights, cut into 168 and 176 uniform triangles: 344, as in Fig. 10 of Wu et al. 2020. Picture: a living "
+        "room with sofa, table and vase; a screen with blue waves on the left wall, one with pink rings on the right, whose colours mix "
+        "on floor and cushions.",
+        xml_defaults(64, 256, 256), INTEGRATOR_WITH_GRID,
+        xml_sensor((0.0, 1.2, 3.75), (0, 0.74, -0.3), 40),
+        xml_diffuse("plaster", (0.80, 0.79, 0.77)),
+        xml_checkerboard("parquet", (0.52, 0.44, 0.36), (0.70, 0.62, 0.53), 10),
+        xml_diffuse("linen", (0.78, 0.77, 0.75)),
+        xml_diffuse("felt", (0.62, 0.63, 0.66)),
+        xml_diffuse("oak", (0.64, 0.54, 0.43)),
+        xml_diffuse("glaze", (0.80, 0.80, 0.78), two_sided=True),
+        xml_shape("floor", "rectangle", ('<scale x="1.5" y="1.5"/>', '<rotate x="1" angle="-90"/>', '<translate z="0.25"/>'), "parquet"),
+        xml_shape("back", "rectangle", ('<scale x="1.5" y="1.1"/>', '<translate y="1.1" z="-1.25"/>'), "plaster"),
+        xml_shape("left", "rectangle", ('<scale x="1.5" y="1.1"/>', '<rotate y="1" angle="90"/>',
+                                        '<translate x="-1.5" y="1.1" z="0.25"/>'), "plaster"),
+        xml_shape("right", "rectangle", ('<scale x="1.5" y="1.1"/>', '<rotate y="1" angle="-90"/>',
+                                         '<translate x="1.5" y="1.1" z="0.25"/>'), "plaster"),
+        cushioned("sofa-base", (0.80, 0.13, 0.36), (0, 0.18, -0.72), "felt"),
+        cushioned("seat-left", (0.37, 0.10, 0.34), (-0.37, 0.38, -0.66), "linen"),
+        cushioned("seat-right", (0.37, 0.10, 0.34), (0.37, 0.38, -0.66), "linen"),
+        cushioned("rest-left", (0.37, 0.27, 0.11), (-0.37, 0.70, -0.93), "linen", -14),
+        cushioned("rest-right", (0.37, 0.27, 0.11), (0.37, 0.70, -0.93), "linen", -14),
+        cushioned("arm-left", (0.12, 0.28, 0.39), (-0.88, 0.33, -0.70), "felt"),
+        cushioned("arm-right", (0.12, 0.28, 0.39), (0.88, 0.33, -0.70), "felt"),
+        xml_shape("table-top", "cube", ('<scale x="0.42" y="0.025" z="0.27"/>', '<translate y="0.35" z="0.3"/>'), "oak"),
+        *(xml_shape(f"table-leg-{k}", "cube", ('<scale x="0.025" y="0.1625" z="0.025"/>', f'<translate x="{x}" y="0.1625" z="{z}"/>'),
+                    "oak") for k, (x, z) in enumerate([(-0.35, 0.1), (0.35, 0.1), (-0.35, 0.5), (0.35, 0.5)])),
+        xml_shape("vase", "ply", ('<scale value="0.36"/>', '<translate x="0.2" y="0.375" z="0.25"/>'), "glaze", file="bottle"),
+        xml_shape("light-blue", "rectangle", ('<scale x="1.2" y="0.7"/>', '<rotate y="1" angle="90"/>',
+                                              '<translate x="-1.48" y="0.95" z="0.15"/>'), emitter=xml_textured("blue_waves", 168)),
+        xml_shape("light-pink", "rectangle", ('<scale x="1.1" y="0.8"/>', '<rotate y="1" angle="-90"/>',
+                                              '<translate x="1.48" y="0.95" z="0.15"/>'), emitter=xml_textured("pink_rings", 176)))
+
+
+def many_lights() -> str:
+    panels = [panel((-3.4, 2.7, 2.2), (0, 0.6, 0), 2.4, [(9, 1.2, 0.6), (9, 5, 0.8), (8, 1, 3), (9, 8, 4)]),
+              panel((3.6, 2.5, 1.8), (0, 0.6, 0), 2.4, [(0.8, 2, 8), (0.6, 6, 7), (3, 2.5, 9), (2, 8, 5)]),
+              panel((0.2, 4.8, -0.8), (0, 0.3, 0.1), 2.4, [(1, 5, 1.5), (5, 5, 5), (2, 1.5, 6), (6, 2.5, 5)])]
+    lights = [light for part in panels for light in part]
+    return xml_scene(
+        "Purpose: 723 lights, each a triangle that can be moved, turned and coloured alone (light_000 to light_722), in three panels "
+        "of 241: Fig. 1 of Wu et al. 2020 with diffuse surfaces. Picture: a knotted sculpture, a fluted pillar and a block on a floor, lit "
+        "red to yellow from the left, blue to green from the right, and mixed from above; the lights are out of view.",
+        xml_defaults(64, 256, 256), INTEGRATOR_WITH_GRID,
+        xml_sensor((0, 2.3, 6.4), (0, 0.95, 0), 29),
+        xml_diffuse("paper", (0.70, 0.70, 0.70)),
+        xml_diffuse("plaster", (0.80, 0.79, 0.77)),
+        xml_diffuse("chalk", (0.72, 0.74, 0.76)),
+        xml_diffuse("slate", (0.45, 0.45, 0.47)),
+        xml_shape("floor", "rectangle", ('<scale value="3.6"/>', '<rotate x="1" angle="-90"/>'), "paper"),
+        xml_shape("wall", "rectangle", ('<scale x="3.6" y="1.6"/>', '<translate y="1.6" z="-2"/>'), "paper"),
+        xml_shape("knot", "ply", ('<translate x="0.55" y="-0.585" z="0.1"/>',), "plaster", file="sculpture_knot"),
+        xml_shape("pillar", "ply", ('<translate x="-0.95" z="-0.4"/>',), "chalk", file="pillar"),
+        xml_shape("block", "cube", ('<scale x="0.2" y="0.2" z="0.2"/>', '<rotate y="1" angle="25"/>',
+                                    '<translate x="-0.75" y="0.2" z="0.75"/>'), "slate"),
+        "\n".join(xml_triangle(f"light_{k:03d}", *light) for k, light in enumerate(lights)))
+
+
+def double_sided() -> str:
+    return xml_scene(
+        "Purpose: a light that emits on both sides, in the middle of what it lights: next to it and along its plane the lighting varies "
+        "quickly, which a coarse grid blurs (Fig. 12 of Wu et al. 2020). Picture: a screen on edge between a knotted sculpture and "
+        "a block; the floor is bright to both sides of the screen and dark along its plane.",
+        xml_defaults(64, 256, 256), INTEGRATOR,
+        xml_sensor((0.9, 3.9, 4.2), (0.15, 0.2, 0.05), 33),
+        xml_diffuse("paper", (0.70, 0.70, 0.70)),
+        xml_diffuse("plaster", (0.80, 0.76, 0.70)),
+        xml_diffuse("slate", (0.45, 0.50, 0.56)),
+        xml_shape("floor", "rectangle", ('<scale value="3.2"/>', '<rotate x="1" angle="-90"/>'), "paper"),
+        xml_shape("knot", "ply", ('<translate y="-0.585"/>', '<scale value="0.6"/>', '<translate x="0.95" z="-0.1"/>'), "plaster",
+                  file="sculpture_knot"),
+        xml_shape("block", "cube", ('<scale x="0.25" y="0.35" z="0.25"/>', '<rotate y="1" angle="30"/>',
+                                    '<translate x="-0.95" y="0.35" z="-0.3"/>'), "slate"),
+        xml_shape("light", "rectangle", ('<scale x="0.8" y="0.48"/>', '<rotate y="1" angle="90"/>', '<translate x="-0.15" y="0.58"/>'),
+                  emitter=xml_radiance((2.4, 2.25, 2.0), TWO_SIDED)))
+
+
 # ------------------------------------------------------------------------------------------------ everything
 ARROW = ([(0.0, -0.7), (0.6, 0.05), (0.25, 0.05), (0.25, 0.7), (-0.25, 0.7), (-0.25, 0.05), (-0.6, 0.05)],
          [(0, 1, 2), (0, 2, 5), (0, 5, 6), (2, 3, 4), (2, 4, 5)])
@@ -480,14 +695,22 @@ def generate(directory: Path = HERE) -> list[Path]:
         "sculpture_light_triangle": flat_light([(-0.6, -0.4), (0.6, -0.4), (0.1, 0.6)], [(0, 1, 2)],
                                                (2.2, 1.9, 1.5), (0, 1.3, 0)),
         "sculpture_light_arrow": flat_light(*ARROW, (-1.7, 4.7, -0.6), (0.3, 2.1, 1.8)),
+        "cushion": cushion(),
+        "bottle": bottle(),
+        "pillar": pillar(),
+        "triangle": TRIANGLE,
     }
     scenes = {"cornell_box": cornell_box(), "floor": floor_scene(), "plant": plant_scene(),
-              "sculpture": sculpture_scene(), "inverse_room": inverse_room()}
+              "sculpture": sculpture_scene(), "inverse_room": inverse_room(), "textured_room": textured_room(),
+              "many_lights": many_lights(), "double_sided": double_sided()}
     (directory / "meshes").mkdir(parents=True, exist_ok=True)
     written = []
     for name, surface in meshes.items():
         written.append(directory / "meshes" / f"{name}.ply")
         write_ply(written[-1], surface)
+    for name, pixels in {"blue_waves": blue_waves(), "pink_rings": pink_rings()}.items():
+        written.append(directory / "meshes" / f"{name}.png")
+        write_png(written[-1], pixels)
     for name, text in scenes.items():
         written.append(directory / f"{name}.xml")
         written[-1].write_bytes(text.encode())
