@@ -26,6 +26,7 @@ _MODULES = {
     ".sh.basis": ("sh_basis",),
     ".plugins": ("register",),
     ".transfer.bake": ("bake_transfer",),
+    ".animation": ("animate",),
     ".transfer.store": ("load_transfer", "Transfer"),
 }
 _LAZY = {name: module for module, names in _MODULES.items() for name in names}

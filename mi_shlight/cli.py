@@ -1,4 +1,4 @@
-"""The command ``mi-shlight``: render, bake and compare scenes from a shell.
+"""The command ``mi-shlight``: render, animate, bake and compare scenes from a shell.
 
 Mitsuba's own command is a C++ program and cannot load plugins written in Python; this one takes its place. Every failure that
 the user can mend is one paragraph on stderr and exit code 2; an interrupt ends with 130, a bug with 1. Output files appear
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import sys
 import time
 import warnings
@@ -17,7 +18,7 @@ from pathlib import Path
 
 import mi_shlight
 
-from .errors import SHLightWarning, message
+from .errors import SHLightWarning, check_integer, check_number, message
 from .files import check_output
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -52,7 +53,7 @@ def main(argv=None) -> int:
     except (Exception, KeyboardInterrupt) as error:
         cause = root_cause(error)
         if isinstance(cause, KeyboardInterrupt):
-            print("\nmi-shlight: interrupted; no output was written", file=sys.stderr)
+            print(f"\nmi-shlight: interrupted; {str(cause) or 'no output was written'}", file=sys.stderr)
             return 130
         if debug:
             raise
@@ -88,6 +89,62 @@ def _render(arguments) -> None:
     _say(arguments, f"{output}: {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s after {bake_seconds:.2f} s of preparation")
 
 
+def _animate(arguments) -> None:
+    from .animation import MAX_FRAMES, VIDEO, Stage, video_command, write_frame, write_video
+    from .motion import load_motion
+    from .rendering import check_view, sh_integrator
+
+    frames = check_integer("animate", "--frames", arguments.frames, 1, MAX_FRAMES)
+    exposure = check_number("animate", "--exposure", arguments.exposure, 0, hint="Pictures are multiplied by it.")
+    fps = check_number("animate", "--fps", arguments.fps, 0.01, 1000, "It is the number of frames per second.")
+    folder = _results_folder("animate", arguments.output)
+    digits = max(4, len(str(frames - 1)))
+    _refuse_later_frames(folder, frames)
+    motion = load_motion(arguments.motion)
+    scene = _load(arguments)
+    _, spp = check_view(scene, arguments.sensor, arguments.spp, arguments.seed)
+    stage = Stage(scene, motion, frames)
+    integrator = sh_integrator(scene, _overrides(arguments))
+    margin = integrator.light_margin
+    integrator = stage.integrator(integrator, one_bake=arguments.light_margin is None)
+    _announce(arguments, scene, integrator)
+    if integrator.light_margin > margin:
+        _say(arguments, f"lights move by up to {integrator.light_margin:.4g}: light_margin is set so that one bake serves all frames; "
+             "shadows are more exact with --light-margin 0 (a bake for each frame) or --transfer-domain pixel")
+    folder.mkdir(exist_ok=True)
+    done, start = 0, time.perf_counter()
+    try:
+        bars = {label: _progress(arguments, label) for label in ("bake", "frames")}
+        for frame, image in stage.render(integrator, arguments.sensor, spp, arguments.seed, lambda label, *counts: bars[label](*counts)):
+            write_frame(folder / f"frame_{frame:0{digits}}.png", image, exposure)
+            done += 1
+    except BaseException as error:
+        if not done:
+            _remove_empty(folder)
+            raise
+        report = f"{done} of {frames} frames are complete in {folder}"
+        if isinstance(root_cause(error), KeyboardInterrupt):
+            raise KeyboardInterrupt(report) from None
+        print(f"mi-shlight: {report}", file=sys.stderr, flush=True)
+        raise
+    seconds = time.perf_counter() - start
+    _say(arguments, f"{folder}: {frames} frames of {image.shape[1]} x {image.shape[0]}, {spp} spp, {seconds:.2f} s")
+    pattern = f"frame_%0{digits}d.png"
+    if video := write_video(folder, pattern, frames, fps):
+        _say(arguments, f"{video}: {frames / fps:.2f} s at {fps:g} frames per second")
+    else:
+        command = shlex.join(video_command(str(folder / pattern), str(folder / VIDEO), frames, fps))
+        _say(arguments, f"no video, as ffmpeg was not found. Where it is, make one with: {command}")
+
+
+def _refuse_later_frames(folder, frames) -> None:
+    """Frames beyond the last of a new animation would be taken for its own."""
+    later = [file.name for file in folder.glob("frame_*.png") if file.stem[6:].isdigit() and int(file.stem[6:]) >= frames]
+    if later:
+        raise ValueError(message("animate", "-o", f"hold no frames beyond the {frames} to render", max(later),
+                                 f"Delete what is left of a longer animation in '{folder}', or choose another folder."))
+
+
 def _bake(arguments) -> None:
     from .rendering import sh_integrator
 
@@ -112,10 +169,7 @@ def _compare(arguments) -> None:
     from .rendering import sh_integrator
 
     require_matplotlib()
-    folder = Path(arguments.output)
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(message("compare", "-o", "name a folder", arguments.output, "A file of that name exists."))
-    check_output("compare", "-o", folder / "report.json" if folder.is_dir() else folder)
+    folder = _results_folder("compare", arguments.output)
     scene = _load(arguments)
     integrator = sh_integrator(scene, _overrides(arguments))
     _announce(arguments, scene, integrator)
@@ -126,8 +180,7 @@ def _compare(arguments) -> None:
                          metadata=_metadata(arguments),
                          progress=lambda label, done, total: _progress(arguments, label)(done, total))
     except BaseException:
-        if not any(folder.iterdir()):
-            folder.rmdir()
+        _remove_empty(folder)
         raise
     errors, noise = report["errors"], report["noise"]
     _say(arguments, f"{report['scene']} against {report['reference']}:\n"
@@ -137,6 +190,20 @@ def _compare(arguments) -> None:
          f"  95 % of pixels within{errors['p95']:8.2%}   of the mean, 99 % within {errors['p99']:.2%}, all within {errors['max']:.2%}\n"
          f"  {times_text(report['times'], report['spp'])}\n"
          f"wrote sh.exr, reference.exr, panel.png, report.json to {folder}")
+
+
+def _results_folder(command, name) -> Path:
+    """The folder for results, which is made later if it is missing; raises if that would fail."""
+    folder = Path(name)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(message(command, "-o", "name a folder", name, "A file of that name exists."))
+    check_output(command, "-o", folder / "file" if folder.is_dir() else folder)
+    return folder
+
+
+def _remove_empty(folder) -> None:
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _info(arguments) -> None:
@@ -306,6 +373,10 @@ def _number(text):
     raise argparse.ArgumentTypeError(f"must be a number, got '{text}'")
 
 
+def _number_or_auto(text):
+    return text if text == "auto" else _number(text)
+
+
 def _define(text):
     name, separator, value = text.partition("=")
     if not separator or not name:
@@ -326,9 +397,32 @@ SHPRT_OPTIONS = {
     "transfer_file": dict(metavar="FILE", help="use a transfer made by 'mi-shlight bake'"),
     "max_edge": dict(type=_number, metavar="X", help="longest triangle edge of the bake, in scene units; 0: automatic"),
     "light_margin": dict(type=_number, metavar="X", help="how far lights may move after the bake, in scene units"),
+    "grid_resolution": dict(type=_number_or_auto, metavar="M", help="points of the light grid along an axis; 0: none; or auto"),
+    "grid_interpolation": dict(metavar="I", help="hermite, tricubic, trilinear, taylor, inverse_distance"),
+    "grid_error": dict(type=_number, metavar="X", help="relative error up to which lights go through the grid; 0: all do"),
     "strict": dict(action="store_true", default=None, help="refuse a scene of which something must be left out"),
     "coefficients": dict(action="store_true", default=None, help="add the light's coefficients as layers L.l.m"),
 }
+
+
+MOTION_HELP = """\
+A motion file holds, for instance,
+
+  {"loop": true, "motions": [
+    {"move": "light-*", "axis": [0, 1, 0], "about": [0, 0, 0], "stagger": 0.25,
+     "keyframes": [{"time": 0, "rotate": 0}, {"time": 1, "rotate": 360}]},
+    {"set": "light-*.emitter.radiance.value", "interpolation": "smooth",
+     "keyframes": [{"time": 0, "factor": 1}, {"time": 0.5, "factor": 0.2}, {"time": 1, "factor": 1}]}]}
+
+move    shapes or sensors (id in the scene file), by keyframes of translate [x, y, z], rotate in degrees about "axis",
+        and scale; "about": [x, y, z] or "centre", the default
+set     parameters as mi.traverse names them, by keyframes of value, or of factor on what the scene has
+time    fraction of the animation, 0 to 1; "loop": the last frame leads to the first
+"interpolation": "linear" or "smooth". Names may be patterns; "stagger" lets each match run that much ahead of the one
+before. All of it: python -m pydoc mi_shlight.motion
+
+All frames have the same seed, so that what does not move does not flicker, and the same exposure.
+"""
 
 
 def _parser() -> _Parser:
@@ -345,6 +439,20 @@ def _parser() -> _Parser:
     render.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel; default: the scene's")
     _add_shprt(render, SHPRT_OPTIONS)
     render.set_defaults(run=_render)
+
+    animate = commands.add_parser("animate", allow_abbrev=False, help="render the frames of a scene in motion",
+                                  description="Render a scene while lights, or anything else, move: frame_0000.png and so on, and a "
+                                  "video where ffmpeg is installed. Parameters are those of render.", epilog=MOTION_HELP,
+                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+    _add_scene(animate, "DIR", "folder for the frames; made if missing")
+    animate.add_argument("--frames", required=True, type=_number, metavar="N", help="number of frames")
+    animate.add_argument("--motion", required=True, metavar="FILE", help="what moves: JSON text, see below")
+    animate.add_argument("--fps", type=_number, default=24, metavar="X", help="frames per second of the video (%(default)s)")
+    animate.add_argument("--exposure", type=_number, default=1, metavar="X", help="factor on the colours of the frames (%(default)s)")
+    _add_camera(animate)
+    animate.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel of a frame; default: the scene's")
+    _add_shprt(animate, [name for name in SHPRT_OPTIONS if name != "coefficients"])
+    animate.set_defaults(run=_animate)
 
     bake = commands.add_parser("bake", allow_abbrev=False, help="precompute a scene's transfer",
                                description="Bake the transfer of a scene's vertices for --transfer-file.")
