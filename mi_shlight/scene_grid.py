@@ -51,13 +51,21 @@ class SceneGrid:
         self._near = self._points = None
 
     def prepare(self, facets, points: int) -> None:
-        """Find out which facets are near to which cells, for a picture of so many points. `facets`: placed, with their radiance."""
+        """Find out which facets are near to which cells, for a picture of so many points. `facets`: placed, with their radiance.
+
+        If that has derivatives, dark facets count as lit, too.
+        """
         if self._resolution == "auto" and points != self._points:
             self._cells, self._near = cheapest_grid(facets, self._groups, self._lower, self._upper, self._order, points, self._samples,
                                                     self._max_error)
             self._points = points
         elif self._cells is not None:
             self._near = NearLists(self._cells, facets, self._groups, self._max_error or None)
+
+    @property
+    def prepared(self) -> bool:
+        """True once :py:meth:`prepare` was called."""
+        return self._near is not None or self._points is not None
 
     def nodes(self, facets) -> NodeTable | None:
         """The table of the grid's points, with the derivatives of the facets; None where exact evaluation of all facets costs less."""
@@ -67,12 +75,18 @@ class SceneGrid:
 
 
 def _samples(shapes: list):
-    """Points of the shapes, uniform by area, the same for each call."""
-    area = np.array([np.ravel(shape.surface_area())[0] for shape in shapes])
+    """Points of the shapes, uniform by area, the same for each call; of those that are no meshes, points of their bounding boxes."""
+    boxes = [(np.ravel(box.min), np.ravel(box.max)) for box in (shape.bbox() for shape in shapes)]
+    area = np.array([np.ravel(shape.surface_area())[0] if shape.is_mesh() else np.sum(np.square(high - low))
+                     for shape, (low, high) in zip(shapes, boxes)])
     counts = np.ceil(SAMPLES * area / max(area.sum(), 1e-30)).astype(int)
     points = [np.zeros((3, 1))]                       # for a scene in which nothing is lit
-    for shape, count in zip(shapes, counts):
+    for shape, (low, high), count in zip(shapes, boxes, counts):
         random = mi.PCG32(size=int(count))
-        found = shape.sample_position(0, mi.Point2f(random.next_float32(), random.next_float32())).p
+        if shape.is_mesh():
+            found = shape.sample_position(0, mi.Point2f(random.next_float32(), random.next_float32())).p
+        else:
+            share = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
+            found = mi.Point3f(*low.tolist()) + share * mi.Vector3f(*(high - low).tolist())
         points.append(np.array(found + dr.zeros(mi.Point3f, int(count))))
     return array3(mi.Float)(np.concatenate(points, axis=1))

@@ -118,8 +118,8 @@ needed for the derivative; choose it by how far a light moves between two bakes.
 
 ``dr.freeze`` records functions that render and differentiate. Update the scene outside the function. Transfer per vertex is not
 baked inside either: call the integrator's ``prepare_scene(scene)`` before the first call and after each change of geometry. Otherwise the
-function keeps the transfer it has (``unshadowed`` and ``pixel`` need no more than the first call). Lists of near lights are those of the
-last picture outside, too.
+function keeps the transfer it has (``unshadowed`` and ``pixel`` need no more than the first call). With a grid render a picture first:
+lists of near lights are those of the last picture outside the function.
 
 .. tabs::
     .. code-tab:: xml
@@ -367,8 +367,10 @@ def build():
             if grid is None:
                 return None
             if not dr.flag(dr.JitFlag.FreezingScope):
-                with dr.suspend_grad():
-                    grid.prepare(table.facets.detached(), points)
+                grid.prepare(table.facets, points)
+            elif not grid.prepared:
+                raise RuntimeError("shprt: with a light grid 'scene' must be rendered before dr.freeze records a function that renders it. "
+                                   "Call mi.render(scene, integrator=integrator) first, and again whenever lights have moved far.")
             return grid.nodes(table.facets)
 
         def _reflected(self, table, nodes, pi, si, sampler, valid):

@@ -268,7 +268,8 @@ def test_one_bake_in_the_middle_of_the_way_serves_all_frames(scene, monkeypatch)
     bakes = []
     import mi_shlight.plugins.shprt as plugin
     trace = plugin.trace_transfer
-    monkeypatch.setattr(plugin, "trace_transfer", lambda *arguments: bakes.append(arguments[1][0].outline[..., 0].mean()) or trace(*arguments))
+    place = lambda lights: lights[0].outline[..., 0].mean()
+    monkeypatch.setattr(plugin, "trace_transfer", lambda *arguments: bakes.append(place(arguments[1])) or trace(*arguments))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(list(stage.render(integrator, spp=2))) == 5

@@ -95,6 +95,25 @@ def test_near_faces_keep_the_error_down(precision, max_error):
     assert np.median(blur) > 4 * np.median(error)
 
 
+def test_lights_in_the_ceiling(precision):
+    """Their plane is the box's face: none of it is cut by a cell, but its points lie where the light ends."""
+    line = np.linspace(0, 2, 5)
+    low = np.array([(x, y) for x in line[:-1] for y in line[:-1]])
+    corners = np.concatenate([low + offset for offset in ([0, 0], [0.5, 0], [0.5, 0.5], [0, 0.5])])
+    ceiling = {"vertices": np.column_stack([corners, np.full(64, 2.0)]), "faces": np.arange(64).reshape(4, 16).T, "radiance": np.ones(16)}
+    points = POINTS * [1, 1, 0.5] + [0, 0, 0.995]
+    expected = exact(precision, **ceiling, points=points)
+    found = values(light_grid(precision, **ceiling, resolution=8, max_error=1e-3).eval(wide(precision, points)))
+    assert np.sqrt(((found - expected) ** 2).sum(axis=0)).max() / np.pi < 4e-3 * expected[0].max() * np.sqrt(4 * np.pi)
+
+
+def test_radiance_below_zero(precision):
+    x = wide(precision, POINTS)
+    below, above = (light_grid(precision, radiance=sign * RADIANCE, max_error=1e-2) for sign in (-1, 1))
+    assert below.near_faces == above.near_faces > 0
+    assert relative(-values(below.eval(x)), values(above.eval(x))) < 4 * precision.eps
+
+
 def test_everything_near_is_exact(precision):
     grid = light_grid(precision, max_error=0, method="edge")
     x = wide(precision, POINTS)

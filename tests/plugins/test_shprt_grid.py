@@ -61,6 +61,12 @@ def test_errors_fall_with_the_one_asked_for(lit_room, exact):
     assert errors[0] < 3e-2 and errors[1] < 1e-4 and errors[1] < errors[0] / 5
 
 
+def test_automatic_resolution_with_shapes_without_area():
+    group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.3}}
+    ball = {"type": "instance", "ref": {"type": "ref", "id": "group"}, "to_world": mi.ScalarTransform4f().translate([0.6, 0.3, 0])}
+    render(scene(floor=floor(), group=group, ball=ball, light=triangle(0)), **UNSHADOWED, grid_resolution="auto")
+
+
 def test_automatic_resolution(lit_room, exact):
     """Exact where that costs less: for few lights, or few pixels."""
     few = room(1)
@@ -142,6 +148,31 @@ def test_derivatives(monkeypatch, keys, parameters, mode):
     difference = sum(sign * np.sum(weights * np.array(picture(mi.Float(sign * step)))) for sign in (1, -1)) / (2 * step)
     slope = derivative(lambda t: dr.sum(mi.TensorXf(weights) * picture(t), axis=None).array, mi.Float, mode)
     assert abs(slope - difference) < 1.5e-2 * abs(difference)
+
+
+def test_derivative_by_a_dark_light():
+    """The start of an inverse problem: a light of radiance 0 is near to what it would light."""
+    what = room(LIGHTS, dark=fan(np.array([[0.3, 0.3, 0], [0.3, 0.3, 0.3], [0.6, 0.3, 0]]), emitter=emitter(radiance=(0, 0, 0))))
+    slopes = []
+    for more in ({}, GRID):
+        parameters = mi.traverse(what)
+        parameters["dark.emitter.radiance.value"] = mi.Color3f(0)
+        dr.enable_grad(parameters["dark.emitter.radiance.value"])
+        parameters.update()
+        dr.backward(dr.sum(mi.render(what, parameters, integrator=integrator(**UNSHADOWED, **more), spp=4, seed=0), axis=None))
+        slopes.append(dr.grad(parameters["dark.emitter.radiance.value"])[0][0])
+    assert slopes[1] == pytest.approx(slopes[0], rel=2e-3)
+
+
+def test_frozen_function_without_a_picture_before():
+    what, plugin = room(3), integrator(**UNSHADOWED, **GRID)
+    plugin.prepare_scene(what)
+    with pytest.raises(Exception) as caught:
+        dr.freeze(lambda what: mi.render(what, integrator=plugin, spp=1))(what)
+    error = caught.value
+    while error.__cause__ is not None:
+        error = error.__cause__
+    assert "must be rendered before dr.freeze" in str(error)
 
 
 def test_frozen_function():
