@@ -40,7 +40,7 @@ class LightTable:
     polygons : ndarray (N,)
         Facets that are a whole side of their light, ascending.
     meshes : ndarray (M,)
-        Lights of triangles, ascending: the parts of :py:meth:`mesh_light`.
+        Light to which each part of :py:meth:`mesh_light` belongs, ascending. A part is one side of a light of triangles.
     spectrum : type
         Of radiances: unpolarised.
     """
@@ -60,18 +60,19 @@ class LightTable:
         self.count = int(self.first_facet[-1])
         light_of = np.repeat(np.arange(len(lights)), np.diff(self.first_facet))
         whole = np.array([light.is_polygon for light in lights])
-        self.polygons, self.meshes = np.flatnonzero(whole[light_of]), np.flatnonzero(~whole)
+        self.polygons, meshes = np.flatnonzero(whole[light_of]), np.flatnonzero(~whole)
         self._polygon = _index(self.polygons)
         self._cut_vertices = self._cut_weights = self._mesh = self._mesh_facet = None
         cuts = [(light.pieces, offset) for light, offset in zip(lights, offsets) if light.pieces]
         if cuts:
             self._cut_vertices = [_index(np.concatenate([pieces.index[:, k] + offset for pieces, offset in cuts])) for k in range(3)]
             self._cut_weights = [aligned(mi.Float, np.concatenate([pieces.weight[:, k] for pieces, _ in cuts])) for k in range(3)]
+        self.meshes = np.repeat(meshes, [len(sides[i]) for i in meshes])
         if len(self.meshes):
-            triangles = np.concatenate([side.triangles for i in self.meshes for side in sides[i]])
-            facets = np.flatnonzero(~whole[light_of])
-            part = np.searchsorted(self.meshes, light_of[facets])
-            self._mesh, self._mesh_facet = MeshTables(mi.UInt32, mesh_topology(list(triangles), part)), _index(facets)
+            triangles = [side.triangles for i in meshes for side in sides[i]]
+            topology = mesh_topology(list(np.concatenate(triangles)), np.repeat(np.arange(len(triangles)), list(map(len, triangles))))
+            self._mesh = MeshTables(mi.UInt32, topology, flat=all(lights[i].normal is not None for i in meshes))
+            self._mesh_facet = _index(np.flatnonzero(~whole[light_of]))
         self._list_radiance([len(both) for both in sides])
         self._one = dr.opaque(mi.Float, 1)
         self._vertices = self._emitted = self._spectra = None
@@ -146,7 +147,7 @@ class LightTable:
         return exact if self._all_uniform else dr.select(uniform, exact, self._interpolated(row, wavelengths))
 
     def mesh_light(self, wavelengths, weigh=None) -> MeshLight:
-        """The lights of triangles, for rays that carry `wavelengths`; part k is light ``meshes[k]``.
+        """The lights of triangles, for rays that carry `wavelengths`; part k is a side of light ``meshes[k]``.
 
         Parameters
         ----------

@@ -379,18 +379,19 @@ def build():
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             n = dr.select(front, si.sh_frame.n, -si.sh_frame.n)
-            shading_of = self._shading_source(table, pi, si, n, ~front, sampler, lit)
+            method = self.method if nodes is None else nodes.method
+            shading_of = self._shading_source(table, method, pi, si, n, ~front, sampler, lit)
             irradiance = self._lighting(table, nodes, shading_of, si, n, lit)
             return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
 
-        def _shading_source(self, table, pi, si, n, back_side, sampler, lit):
+        def _shading_source(self, table, method: str, pi, si, n, back_side, sampler, lit):
             """Function from a light group's number to the transfer at each hit, and the shaders, for polygons and for meshes, that meet the
             group's lights with it.
 
             All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
             """
             if self.transfer == "unshadowed":
-                shading = lambda n: cosine_transfer(n, self.order), *self._unshadowed_shaders(n)
+                shading = lambda n: cosine_transfer(n, self.order), *self._unshadowed_shaders(n, method)
                 return lambda g, first, last: shading
             state, lookup, traced, p, n = self._state, None, lit, dr.detach(si.p), dr.detach(n)
             if self.transfer_domain == "vertex":
@@ -408,20 +409,20 @@ def build():
                                                 shift, traced)[0]
                     coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
                 coeffs = [dr.detach(t) for t in coeffs]
-                shade, shade_mesh = light_shader(coeffs, self.order, self.method), mesh_shader(coeffs, self.order, self.method)
+                shade, shade_mesh = light_shader(coeffs, self.order, method), mesh_shader(coeffs, self.order, method)
                 return lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x)
 
             return shading_of
 
-        def _unshadowed_shaders(self, n):
+        def _unshadowed_shaders(self, n, method: str):
             """Shaders for hits with normal `n` where nothing casts shadows."""
             weights = times_pole_value(zonal_lambert(self.order))       # symmetric about n: order + 1 numbers instead of (order + 1)^2
-            by_zones = zonal_shader if self.method == "edge" else zonal_light_shader
+            by_zones = zonal_shader if method == "edge" else zonal_light_shader
             zonal = lambda light, x, apex, n: by_zones(n, weights)(light, x, apex)
-            if self.method in ("auto", "edge"):
-                return zonal, zonal_mesh_shader(weights, self.method)
+            if method in ("auto", "edge"):
+                return zonal, zonal_mesh_shader(weights, method)
             transfer = cosine_transfer(dr.detach(n), self.order)
-            full, full_mesh = (make(transfer, self.order, self.method) for make in (light_shader, mesh_shader))
+            full, full_mesh = (make(transfer, self.order, method) for make in (light_shader, mesh_shader))
             if not dr.grad_enabled(n):
                 return lambda light, x, apex, n: full(light, x, apex), lambda light, x, n: full_mesh(light, x)
 

@@ -147,7 +147,7 @@ class LightGrid:
         x = self._point(name, x)
         transfer = float_list(name, "transfer", transfer, self._number, count, count, "It has one entry for each l and m up to 'order'.")
         transfer = [self._number(t) for t in transfer]
-        shaded = self._nodes.shade(x, transfer, light_shader(transfer, self.order, self.method))
+        shaded = self._nodes.shade(x, transfer, light_shader(transfer, self.order, self._nodes.method))
         return self._colour(shaded, all_finite(x))
 
     def _point(self, function: str, x):

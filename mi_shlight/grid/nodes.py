@@ -3,9 +3,11 @@ from __future__ import annotations
 
 import functools
 import operator
+import sys
 
 import drjit as dr
 
+from ..arrays import array3
 from ..light.facets import FacetTable
 from ..light.gradient import project_light_spatial
 from ..light.project import project_light
@@ -14,6 +16,9 @@ from .split import NearLists
 
 PART = 36
 """Numbers of a row that one kernel copies: all at once would compile for half a minute."""
+
+PACKET = 16
+"""Numbers that are read together: twice as fast as one by one."""
 
 
 class NodeTable:
@@ -39,36 +44,45 @@ class NodeTable:
     DRJIT_STRUCT = dict.fromkeys(("near", "_rows", "_own", "_points", "_cells_end"), object)
 
     def __init__(self, cells: Cells, table: FacetTable, near: NearLists, order: int, interpolation: str, method: str):
-        self.cells, self.table, self.near, self.order, self._interpolation, self._method = cells, table, near, order, interpolation, method
-        self._spatial_method = "edge" if method == "auto" else method      # many small facets: the cubature would take three times as long
-        self._groups, self._stride = near.group_count, (order + 1) ** 2 * 4 * table.channels
+        self.cells, self.table, self.near, self.order, self._interpolation = cells, table, near, order, interpolation
+        # Near facets are not as small as to need the cubature, and those far off matter together. Its mere presence doubles the time.
+        self.method = "edge" if method == "auto" else method
+        self._groups, self._entries = near.group_count, (order + 1) ** 2 * 4 * table.channels
+        self._stride = -(-self._entries // PACKET) * PACKET
         index = self._index = type(table.first_edge)
+        self._packet = _array_type(type(table.positions))
         self._points, self._cells_end = dr.opaque(index, cells.point_count), dr.opaque(index, cells.cell_count)
-        row = dr.arange(index, cells.point_count * self._groups)
-        first, last = (dr.gather(index, near.first_facet, row // cells.point_count + k) for k in (0, 1))
-        self._rows, self._own = self._sums(row % cells.point_count, first, last, dr.arange(index, table.count)), None
-        if near.flags is not None:
-            self._add_own_corners()
+        self._own = None if near.flags is None else dr.zeros(index, (cells.cell_count + 1) * self._groups)
+        self._rows = self._sums()
         dr.eval(self._rows, self._own)
 
-    def _add_own_corners(self) -> None:
-        """Rows for the corners of cells with near facets, numbered in `_own` from 1, 0 for cells without."""
-        index, cells, lists = self._index, self.cells, self.near.crowded
-        self._own = dr.zeros(index, (cells.cell_count + 1) * self._groups)
-        dr.scatter(self._own, dr.arange(index, dr.width(lists)) + 1, lists)
-        row = dr.arange(index, dr.width(lists) * CORNERS)
-        number = dr.gather(index, lists, row // CORNERS)
-        cell, group = number // self._groups, number % self._groups
-        point = cells.corner_point(cell, row % CORNERS)
-        near = self._sums(point, *self.near.range(cell, group), self.near.facets)
-        entry = dr.arange(index, dr.width(near))
-        shared = dr.gather(index, group * cells.point_count + point, entry // self._stride) * self._stride + entry % self._stride
-        self._rows = dr.concat([self._rows, dr.gather(type(near), self._rows, shared) - near])
-
-    def _sums(self, point, first, last, facets):
-        """Sums over ``facets[first] .. facets[last - 1]``, as far as they are kept at each `point`: flat rows of values, x, y, and z
-        derivatives by channel for each coefficient.
+    def _sums(self):
+        """Rows of values, x, y, and z derivatives by channel for each coefficient, flat. First those of the grid's points, one group after
+        the other, then of the corners of cells with near facets, which `_own` numbers from 1, 0 for cells without.
         """
+        index, cells, number = self._index, self.cells, type(self.table.positions)
+        shared = dr.arange(index, cells.point_count * self._groups)
+        point, cell, group = shared % self._points, dr.zeros(index, dr.width(shared)) + self._cells_end, shared // self._points
+        if self._own is not None:
+            lists = self.near.crowded
+            dr.scatter(self._own, dr.arange(index, dr.width(lists)) + 1, lists)
+            corner = dr.arange(index, dr.width(lists) * CORNERS)
+            own = dr.gather(index, lists, corner // CORNERS)
+            cell, group = dr.concat([cell, own // self._groups]), dr.concat([group, own % self._groups])
+            point = dr.concat([point, cells.corner_point(own // self._groups, corner % CORNERS)])
+        total = self._sums_at(point, *self.near.range(cell, group)) + [dr.zeros(number)] * (self._stride - self._entries)
+        rows, first_own = dr.opaque(index, dr.width(point)), dr.opaque(index, dr.width(shared))
+        whole = point + group * self._points                    # the row with all facets of the group
+        dr.eval(whole)
+        columns = dr.concat([_column(total[k:k + PART], dr.width(point)) for k in range(0, self._stride, PART)])
+        entry = dr.arange(index, dr.width(point) * self._stride)
+        row, column = entry // self._stride, entry % self._stride * rows
+        near = dr.gather(number, columns, column + row, row >= first_own)
+        return dr.gather(number, columns, column + dr.gather(index, whole, row)) - near
+
+    def _sums_at(self, point, first, last) -> list:
+        """Sums over the facets ``first .. last - 1`` of the near lists, as far as they are kept at each `point`: the numbers of a row."""
+        facets = self.near.facets
         dr.eval(point, first, last, facets)
         table, x, number = self.table, self.cells.point(point), type(self.table.positions)
         facet = lambda i: dr.gather(self._index, facets, i)
@@ -84,19 +98,16 @@ class NodeTable:
 
         def body(i, last, total):
             k = facet(i)
-            coeffs, slopes = project_light_spatial(table.edges(k, x, True), x, table.apex(k, x), self.order, self._spatial_method)
+            coeffs, slopes = project_light_spatial(table.edges(k, x, True), x, table.apex(k, x), self.order, self.method)
             numbers = [c for values in zip(coeffs, *slopes) for c in values]
             radiance = table.radiance(k)
             total = [dr.fma(r, v, t) for t, (v, r) in zip(total, ((v, r) for v in numbers for r in radiance))]
             return following(i + 1, last), last, total
 
-        state = following(first, last), last, [number(0) for _ in range(self._stride)]
+        state = following(first, last), last, [number(0) for _ in range(self._entries)]
         total = dr.while_loop(state, lambda i, last, _: i < last, body, mode="symbolic", max_iterations=-1)[2]
         dr.eval(total)
-        rows = dr.opaque(self._index, dr.width(point))
-        entry = dr.arange(self._index, dr.width(point) * self._stride)
-        columns = dr.concat([_column(total[k:k + PART]) for k in range(0, self._stride, PART)])
-        return dr.gather(number, columns, entry % self._stride * rows + entry // self._stride)
+        return total
 
     def _kept(self, point):
         """Function of a facet's number: mask of the points at which it is added, those with a cell around that it is not near to."""
@@ -109,20 +120,20 @@ class NodeTable:
 
     def eval(self, x, group=0, active=True) -> list:
         """Coefficients at `x`: list of colours, lists of one float for each channel."""
-        count, channels = self._stride // (4 * self.table.channels), self.table.channels
+        count, channels = (self.order + 1) ** 2, self.table.channels
         cell, t = self.cells.locate(x)
 
         def body(total, base, weights, inside):
+            row = self._row(base, inside)
             for i in range(count * channels):
-                entry = base + i // channels * 4 * channels + i % channels
-                parts = [dr.gather(type(self._rows), self._rows, entry + j * channels, inside) for j in range(4)]
+                parts = row[i // channels * 4 * channels + i % channels::channels][:4]
                 total[i] = functools.reduce(lambda sum, part: dr.fma(*part, sum), zip(weights, parts), total[i])
             return total
 
         total = self._fold_corners(cell, t, group, active, body, count * channels)
 
         def add(k, total, x):
-            coeffs = project_light(self.table.edges(k, x, active), x, self.table.apex(k, x), self.order, self._method)
+            coeffs = project_light(self.table.edges(k, x, active), x, self.table.apex(k, x), self.order, self.method)
             radiance = self.table.radiance(k)
             return [dr.fma(radiance[i % channels], coeffs[i // channels], t) for i, t in enumerate(total)]
 
@@ -139,9 +150,8 @@ class NodeTable:
 
         def body(total, base, weights, inside, *transfer):
             sums = [type(self._rows)(0) for _ in range(4 * channels)]
-            for i, value in enumerate(transfer):
-                for j in range(4 * channels):
-                    sums[j] = dr.fma(value, dr.gather(type(self._rows), self._rows, base + (i * 4 * channels + j), inside), sums[j])
+            for i, value in enumerate(self._row(base, inside)):
+                sums[i % len(sums)] = dr.fma(transfer[i // len(sums)], value, sums[i % len(sums)])
             return [functools.reduce(lambda sum, j: dr.fma(weights[j], sums[j * channels + c], sum), range(4), total[c])
                     for c in range(channels)]
 
@@ -153,6 +163,12 @@ class NodeTable:
 
         near = self._fold_near(cell, group, active, add, channels, x, *others)
         return [a + b for a, b in zip(total, near)]
+
+    def _row(self, base, active) -> list:
+        """The numbers of the row that starts at `base`."""
+        packets = (dr.gather(self._packet, self._rows, base // PACKET + k, active, shape=(PACKET, dr.width(base)))
+                   for k in range(self._stride // PACKET))
+        return [value for packet in packets for value in packet][:self._entries]
 
     def _fold_near(self, cell, group, active, body, width: int, *others) -> list:
         """``total = body(k, total, *others)`` over the facets k that are near to the cell, from `width` zeros."""
@@ -182,7 +198,13 @@ class NodeTable:
         return dr.while_loop(state, lambda k, *_: k < end, step, mode="symbolic", max_iterations=-1)[1]
 
 
-def _column(values: list):
-    column = dr.concat(values)
+def _column(values: list, width: int):
+    column = dr.concat([value + dr.zeros(type(value), width) for value in values])
     dr.eval(column)
     return column
+
+
+def _array_type(number):
+    """Dr.Jit's array of any number of floats."""
+    vector = array3(number)
+    return getattr(sys.modules[vector.__module__], vector.__name__.replace("Array3", "ArrayX"))

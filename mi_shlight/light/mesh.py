@@ -7,12 +7,12 @@ either direction along an edge that two faces share, so that for l >= 1
 
 left and right the faces that run along edge e from start to end and back, E_lm the integral of :py:mod:`mi_shlight.light.edge_frame`. Each
 edge is integrated once, those between equal radiances not at all. A face that emits on one side only is left out of (1) where it is turned
-away: between equal faces of a closed mesh there remains the outline that the point sees.
+away: between equal faces of a closed mesh there remains the outline that the point sees. In a flat light all faces are turned away at once.
 
 So is L_00 = solid angle / sqrt(4 pi), by fans from one apex (:py:func:`mi_shlight.light.polygon.fan_solid_angle`), provided that no face
 covers the opposite of the apex. For a point inside the mesh there may be no such apex; there the solid angles are summed face by face.
 
-Several lights that share no vertices may stand in one :py:class:`MeshLight` as its *parts*, which loops take one after the other.
+Several lights may stand in one :py:class:`MeshLight` as its *parts*, which loops take one after the other.
 """
 from __future__ import annotations
 
@@ -93,13 +93,17 @@ class MeshLight:
         self._edges, self._triangles, self._strips = ([dr.gather(self._vector, vertices, corner) for corner in corners]
                                                       for corners in (tables.edges, tables.triangles, tables.strips))
         planes = self._measure(dr.detach(vertices), tables)
-        self._owners = [_Owners(owner, radiance, planes if one_sided else None, tables.face_count)
+        self._by_face = one_sided and not (tables.flat and not callable(radiance))
+        self._owners = [_Owners(owner, radiance, planes if self._by_face else None, tables.face_count)
                         for owner in (*tables.sides, tables.triangle_owner, tables.strip_owner)]
-        self._steps = [] if one_sided else [a - b for a, b in zip(*(side.radiance for side in self._owners[:2]))]
+        left, right = self._owners[:2]
+        self._steps = [] if self._by_face else [a - b for a, b in zip(left.radiance, right.radiance)]
+        self._equal = _equal(left.radiance, right.radiance) if self._by_face and left.radiance else None
         sample = radiance(self._index(0)) if callable(radiance) else radiance
         self._radiance_attached = dr.grad_enabled(sample)
         self._black = self._colour(self._number(0) for _ in sample)
-        dr.eval(self._edges, self._triangles, self._strips, self._steps, self._tables, [part.tables() for part in self._owners])
+        dr.eval(self._edges, self._triangles, self._strips, self._steps, self._equal, self._tables,
+                [part.tables() for part in self._owners])
         self._choose(self._index(0))
 
     def part(self, k) -> "MeshLight":
@@ -204,27 +208,24 @@ class MeshLight:
 
         A pair in the list stands for its product.
         """
-        left, right = self._owners[:2]
-
-        def body(e, total, x, apex):
+        def body(e, faces, total, x, apex):
             v_i, v_j = (self._read(end, e) - x for end in self._edges)
-            weight = self._colour(self._step(e, x))
+            weight = self._colour(self._step(e, faces))
             return [dr.fma(weight * value[0], value[1], t) if isinstance(value, tuple) else dr.fma(weight, value, t)
                     for t, value in zip(total, term(v_i, v_j, apex))]
 
-        differ = lambda e, x: left.differ(right, e, x)
         colours = [self._black for _ in range(width)]
-        return self._fold(self._edge_range, differ, body, colours, (x, apex), active) if self._edge_count else colours
+        return self._fold(self._edge_range, self._owners[:2], body, colours, (x, apex), active) if self._edge_count else colours
 
     def solid_angle(self, x, active=True):
         """Sum of radiance times signed solid angle over the faces: a colour; 0 where not `active`."""
         owners = self._owners[2]
 
-        def body(t, total, x):
+        def body(t, _, total, x):
             corners = (self._read(corner, t) - x for corner in self._triangles)
-            return dr.fma(self._colour(owners.emitted(t, x)), triangle_solid_angle(*corners), total)
+            return dr.fma(self._colour(owners.emitted(t)), triangle_solid_angle(*corners), total)
 
-        return self._fold(self._triangle_range, owners.face, body, self._black, (x,), active)
+        return self._fold(self._triangle_range, [owners], body, self._black, (x,), active)
 
     def only_strip(self):
         return None
@@ -233,41 +234,60 @@ class MeshLight:
         """Sum of radiance times what ``body(corners, total, x)`` adds to `total`, zero or a list of zeros, over the strips of all faces."""
         several, owners = isinstance(total, list), self._owners[3]
 
-        def over_strip(i, colours, x):
+        def over_strip(i, _, colours, x):
             values = body(tuple(self._read(corner, i) for corner in self._strips), total, x)
-            emitted = self._colour(owners.emitted(i, x))
+            emitted = self._colour(owners.emitted(i))
             return [dr.fma(emitted, value, colour) for colour, value in zip(colours, values if several else [values])]
 
         colours = [self._black for _ in total] if several else [self._black]
-        colours = self._fold(self._strip_range, owners.face, over_strip, colours, (x,), active)
+        colours = self._fold(self._strip_range, [owners], over_strip, colours, (x,), active)
         return colours if several else colours[0]
 
-    def _fold(self, bounds: tuple, wanted, body, total, others: tuple, active):
-        """``for i in range(*bounds): total = body(i, total, *others)``; of a one-sided light only i that are ``wanted(i, x)``.
+    def _fold(self, bounds: tuple, owners: list, body, total, others: tuple, active):
+        """``for i in range(*bounds): total = body(i, faces, total, *others)``; where faces emit to one side, of those i for which one of
+        the masks `faces`, :py:meth:`_facing` of the owners of i, is set.
 
-        Each lane runs on to the next i that it wants before the body, which costs much more, is entered.
+        Each lane runs on to the next such i before the body, which costs much more, is entered.
         """
         first, last = bounds
-        if not self._one_sided:
-            return fold(first, last, lambda i: i, body, total, others, active)
+        if not self._by_face:
+            active = active & self._emits_to(others[0]) if self._one_sided else active
+            return fold(first, last, lambda i: i, lambda i, total, *others: body(i, None, total, *others), total, others, active)
+        any_of = functools.partial(functools.reduce, operator.or_)
 
         def following(i, last, x):
-            searching = lambda i: (i < last) & ~wanted(dr.minimum(i, last - 1), x)      # reads even where i is past the end
-            return dr.while_loop((i,), searching, lambda i: (i + 1,), mode="symbolic")[0]
+            """One past the next i, with its masks."""
+            state = i, [dr.mask_t(x[0])(False) for _ in owners]
+            return dr.while_loop(state, lambda i, faces: (i < last) & ~any_of(faces), lambda i, _: (i + 1, self._facing(owners, i, x)),
+                                 mode="symbolic")
 
-        def step(i, last, total, others):
-            total = body(i, total, *others)
-            return following(i + 1, last, others[0]), last, total, others
+        def step(i, faces, last, total, others):
+            total = body(i - 1, faces, total, *others)
+            return *following(i, last, others[0]), last, total, others
 
         last = dr.select(active, last, first)
-        state = following(first, last, others[0]), last, total, others
-        return dr.while_loop(state, lambda i, last, *_: i < last, step, mode="symbolic", max_iterations=-1)[2]
+        state = *following(first, last, others[0]), last, total, others
+        return dr.while_loop(state, lambda i, faces, *_: any_of(faces), step, mode="symbolic", max_iterations=-1)[3]
 
-    def _step(self, e, x) -> list:
+    def _emits_to(self, x):
+        """Mask: `x` lies on the side to which a flat light emits."""
+        return dr.dot(self._measures.area, self._measures.centre - dr.detach(x)) > 0
+
+    def _facing(self, owners: list, i, x) -> list:
+        """Masks: the owners of i emit towards `x`; of an edge neither, if both do and there is nothing to tell them apart."""
+        faces = [owner.face(i, x) for owner in owners]
+        if len(owners) == 1 or self._radiance_attached:         # the derivatives differ even where the values do not
+            return faces
+        equal = _equal(*(side.emitted(i) for side in owners)) if self._equal is None else dr.gather(type(self._equal), self._equal, i)
+        seam = faces[0] & faces[1] & equal
+        return [face & ~seam for face in faces]
+
+    def _step(self, e, faces) -> list:
         """By how much the radiance to the left of an edge exceeds that to the right, by channel."""
-        if self._one_sided:
-            return [a - b for a, b in zip(*(side.emitted(e, x) for side in self._owners[:2]))]
-        return [dr.gather(self._number, steps, e) for steps in self._steps]
+        if not self._by_face:
+            return [dr.gather(self._number, steps, e) for steps in self._steps]
+        left, right = ([dr.select(lit, r, 0) for r in owner.emitted(e)] for lit, owner in zip(faces, self._owners))
+        return [a - b for a, b in zip(left, right)]
 
     def _read(self, corner, i):
         return dr.gather(self._vector, corner, i)
@@ -305,20 +325,16 @@ class _Owners:
         n_x, n_y, n_z, height = (dr.gather(type(table), table, i) for table in self._planes)
         return dr.fma(n_x, x[0], dr.fma(n_y, x[1], n_z * x[2])) < height
 
-    def emitted(self, i, x) -> list:
-        """Radiance towards `x`, by channel."""
+    def emitted(self, i) -> list:
+        """Radiance, by channel."""
         if self._function:
-            radiance = self._function(dr.gather(type(self._face), self._face, i))
-        else:
-            radiance = [dr.gather(type(channel), channel, i) for channel in self.radiance]
-        return [dr.select(self.face(i, x), r, 0) for r in radiance] if self._planes else radiance
+            return self._function(dr.gather(type(self._face), self._face, i))
+        return [dr.gather(type(channel), channel, i) for channel in self.radiance]
 
-    def differ(self, other, i, x):
-        """Mask: the two do not send the same. If the radiance has derivatives, which differ even then: one of them faces `x`."""
-        mine, theirs = self.emitted(i, x), other.emitted(i, x)
-        if dr.grad_enabled(mine, theirs):
-            return self.face(i, x) | other.face(i, x)
-        return functools.reduce(operator.or_, (a != b for a, b in zip(mine, theirs)))
+
+def _equal(left: list, right: list):
+    """Mask: all channels of two radiances are the same."""
+    return functools.reduce(operator.and_, (dr.detach(a) == dr.detach(b) for a, b in zip(left, right)))
 
 
 def triangle_solid_angle(a, b, c):

@@ -12,7 +12,7 @@ class Topology(NamedTuple):
     """Faces as index tables, from :py:func:`mesh_topology`."""
 
     edges: np.ndarray
-    """(E, 4): start, end, left face, right face; the number of faces stands for none."""
+    """(E, 4): start, end, left face, right face, part by part; the number of faces stands for none."""
     triangles: np.ndarray
     """(T, 4): three corners, face. Together they fill the faces, with sign where a face is not convex."""
     strips: np.ndarray
@@ -27,8 +27,9 @@ def mesh_topology(faces: list, part=None) -> Topology:
     """Edges, triangles and strips of `faces`, a list of integer arrays of three or more vertex indices. `part`: 0 for all by default.
 
     Each edge is listed once, however many faces share it, as long as every face that runs along it one way finds one that runs back;
-    otherwise, in meshes that are not consistently oriented, it stands there several times.
+    otherwise, in meshes that are not consistently oriented, it stands there several times. Faces of different parts share none.
     """
+    part = np.zeros(len(faces), int) if part is None else np.asarray(part)
     counts = np.array([len(face) for face in faces])
     directed, triangles, strips = [], [], []
     for n in np.unique(counts):
@@ -46,15 +47,14 @@ def mesh_topology(faces: list, part=None) -> Topology:
     start, end, owner = directed[directed[:, 0] != directed[:, 1]].T
     back = start > end
     low, high = np.minimum(start, end), np.maximum(start, end)
-    order = np.lexsort((owner, back, high, low))
+    order = np.lexsort((owner, back, high, low, part[owner]))
     low, high, back, owner = low[order], high[order], back[order], owner[order]
-    _, first, group = np.unique(np.column_stack([low, high, back]), axis=0, return_index=True, return_inverse=True)
+    _, first, group = np.unique(np.column_stack([part[owner], low, high, back]), axis=0, return_index=True, return_inverse=True)
     rank = np.arange(len(low)) - first[group.reshape(-1)]       # among the faces that run along the edge the same way
-    slots, slot = np.unique(np.column_stack([low, high, rank]), axis=0, return_inverse=True)
+    slots, slot = np.unique(np.column_stack([part[owner], low, high, rank]), axis=0, return_inverse=True)
     sides = np.full((len(slots), 2), len(faces))
     sides[slot.reshape(-1), back.astype(int)] = owner
-    part = np.zeros(len(faces), int) if part is None else np.asarray(part)
-    return Topology(np.column_stack([slots[:, :2], sides]), triangles, strips, np.array([face[0] for face in faces]), part)
+    return Topology(np.column_stack([slots[:, 1:3], sides]), triangles, strips, np.array([face[0] for face in faces]), part)
 
 
 class MeshTables:
@@ -64,13 +64,12 @@ class MeshTables:
                                   "first", "bounds"), object)
     """Buffers that `dr.freeze` must know of."""
 
-    def __init__(self, index, topology: Topology, kept=None):
-        """`index`: Dr.Jit type; `kept`: mask of the edges that matter."""
+    def __init__(self, index, topology: Topology, kept=None, flat: bool = False):
+        """`index`: Dr.Jit type; `kept`: mask of the edges that matter; `flat`: each part lies in a plane, its faces turned the same way."""
+        self.flat = flat
         edges = topology.edges if kept is None else topology.edges[kept]
         self.face_count, self.edge_count, self.part_count = len(topology.first), len(edges), int(topology.part[-1]) + 1
         edge_part = topology.part[np.minimum(edges[:, 2], edges[:, 3])]         # none has the largest number
-        order = np.argsort(edge_part, kind="stable")
-        edges, edge_part = edges[order], edge_part[order]
         triangle_part, strip_part = (topology.part[rows[:, -1]] for rows in (topology.triangles, topology.strips))
         column = lambda values: index(values.tolist())
         (*self.edges, left, right), (*self.triangles, self.triangle_owner), (*self.strips, self.strip_owner) = (
