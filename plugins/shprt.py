@@ -182,6 +182,8 @@ def read_parameters(props) -> dict:
     value["transfer_samples"] = check_integer("shprt", "transfer_samples", value["transfer_samples"], 0, 65536, hint)
     for name in ("max_edge", "light_margin"):
         value[name] = check_number("shprt", name, value[name], 0, hint="It is a length in scene units.")
+    if isinstance(value["grid_resolution"], str) and value["grid_resolution"].isdigit():       # -D name=value gives text
+        value["grid_resolution"] = int(value["grid_resolution"])
     if value["grid_resolution"] != "auto":
         hint = "It is a number of grid points along an axis; 0: no grid, 'auto': what costs least."
         value["grid_resolution"] = check_integer("shprt", "grid_resolution", value["grid_resolution"], 0, MAX_RESOLUTION, hint)

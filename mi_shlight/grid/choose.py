@@ -4,7 +4,7 @@ from __future__ import annotations
 import drjit as dr
 
 from .cells import CORNERS, Cells
-from .split import NearLists
+from .split import MAX_PAIRS, NearLists
 
 RESOLUTIONS = (4, 6, 8, 12, 16, 24, 32)
 
@@ -26,6 +26,8 @@ def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, sa
     best, least = (None, None), points * edges * exact
     for resolution in RESOLUTIONS:
         cells = Cells(lower, upper, resolution)
+        if cells.cell_count * facets > MAX_PAIRS:
+            break
         near = NearLists(cells, table, groups, max_error)
         per_facet = edges / facets
         cost = ((cells.point_count * facets + CORNERS * near.count) * per_facet * node

@@ -8,6 +8,7 @@ import sys
 import drjit as dr
 
 from ..arrays import array3
+from ..errors import message
 from ..light.facets import FacetTable
 from ..light.gradient import project_light_spatial
 from ..light.project import project_light
@@ -19,6 +20,9 @@ PART = 36
 
 PACKET = 16
 """Numbers that are read together: twice as fast as one by one."""
+
+MAX_NUMBERS = 1 << 28
+"""A gigabyte in float32, and several while it is filled."""
 
 
 class NodeTable:
@@ -49,6 +53,10 @@ class NodeTable:
         self.method = "edge" if method == "auto" else method
         self._groups, self._entries = near.group_count, (order + 1) ** 2 * 4 * table.channels
         self._stride = -(-self._entries // PACKET) * PACKET
+        rows = cells.point_count * near.group_count + (0 if near.flags is None else CORNERS * dr.width(near.crowded))
+        if rows * self._stride > MAX_NUMBERS:
+            raise ValueError(message("light grid", "resolution", f"leave at most {MAX_NUMBERS} numbers to hold", cells.resolution,
+                                     f"There are {rows * self._stride} at order {order}. Choose a coarser grid or a lower order."))
         index = self._index = type(table.first_edge)
         self._packet = _array_type(type(table.positions))
         self._points, self._cells_end = dr.opaque(index, cells.point_count), dr.opaque(index, cells.cell_count)

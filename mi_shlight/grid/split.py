@@ -13,6 +13,7 @@ import drjit as dr
 import numpy as np
 
 from ..arrays import array3
+from ..errors import message
 from ..light.polygon import direction
 
 SMOOTH, KINK = 0.06, 0.02
@@ -23,6 +24,9 @@ if the plane is that of the cell's face, as of a lamp in a ceiling."""
 
 TOUCHING = 1.2
 """Facets nearer to the middle of a cell than this many times its corners are always near."""
+
+MAX_PAIRS = 1 << 27
+"""Largest number of cells times facets: a gigabyte or two for a moment."""
 
 
 class NearLists:
@@ -56,6 +60,9 @@ class NearLists:
 
     def __init__(self, cells, table, groups: list, max_error):
         index, facets, count = type(table.first_edge), table.count, cells.cell_count
+        if max_error is not None and count * facets > MAX_PAIRS:
+            raise ValueError(message("light grid", "resolution", f"leave at most {MAX_PAIRS} pairs of cells and polygons", cells.resolution,
+                                     f"With {facets} polygons there are {count * facets}. Choose a coarser grid, or max_error=None."))
         self.group_count, self.first_facet = len(groups) - 1, index([int(first) for first in groups])
         group_of = index(np.repeat(np.arange(self.group_count), np.diff(groups)).tolist())
         entries = dr.arange(index, facets) + count * facets

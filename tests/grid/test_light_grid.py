@@ -198,6 +198,14 @@ def test_bad_input(argument, value, text):
     assert text in str(caught.value)
 
 
+def test_grids_too_large_for_memory():
+    ad = dr.llvm.ad
+    with pytest.raises(ValueError, match="numbers to hold, got 200"):
+        LightGrid(FAR, FAR_FACES, [1.0, 2.0], ad.Array3f(LOWER), UPPER, 200, 14)
+    with pytest.raises(ValueError, match="pairs of cells and polygons, got 256"):
+        LightGrid(np.tile(FAR, (6, 1)), np.arange(42).reshape(-1, 3), np.ones(14), ad.Array3f(LOWER), UPPER, 256, 0, max_error=1e-2)
+
+
 def test_needs_a_jit_backend():
     with pytest.raises(TypeError, match="JIT backend"):
         LightGrid(FAR, FAR_FACES, [1.0, 2.0], LOWER, UPPER, 4)

@@ -207,3 +207,5 @@ def test_from_a_file(tmp_path):
                     '<string name="grid_interpolation" value="tricubic"/><float name="grid_error" value="0.01"/></integrator></scene>')
     parameters = mi.load_file(str(path)).integrator().parameters()
     assert (parameters["grid_resolution"], parameters["grid_interpolation"], parameters["grid_error"]) == ("auto", "tricubic", 0.01)
+    path.write_text(path.read_text().replace('"auto"', '"8"'))
+    assert mi.load_file(str(path)).integrator().grid_resolution == 8
