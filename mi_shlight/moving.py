@@ -30,6 +30,7 @@ class MovingLights:
 
         That is so if a mesh tears open, becomes planar or is no longer, loses its area, or turns its emitting side over; also if a
         texture is to be cut differently. Vertices that meet leave an outline with edges that cancel each other, which is as good.
+        That a mesh ceases to be convex is not reported.
         """
         buffers = [dr.detach(light.shape.vertex_positions_buffer()) for light in self._lights]
         if [dr.width(buffer) for buffer in buffers] != (3 * np.diff(self._first)).tolist():

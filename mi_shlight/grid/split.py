@@ -56,16 +56,16 @@ class NearLists:
         Numbers of the lists that are not empty.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("first_facet", "bounds", "facets", "flags", "crowded"), object)
+    DRJIT_STRUCT = dict.fromkeys(("bounds", "facets", "flags", "crowded"), object)
 
     def __init__(self, cells, table, groups: list, max_error):
         index, facets, count = type(table.first_edge), table.count, cells.cell_count
         if max_error is not None and count * facets > MAX_PAIRS:
             raise ValueError(message("light grid", "resolution", f"leave at most {MAX_PAIRS} pairs of cells and polygons", cells.resolution,
                                      f"With {facets} polygons there are {count * facets}. Choose a coarser grid, or max_error=None."))
-        self.group_count, self.first_facet = len(groups) - 1, index([int(first) for first in groups])
+        self.group_count = len(groups) - 1
         group_of = index(np.repeat(np.arange(self.group_count), np.diff(groups)).tolist())
-        entries = dr.arange(index, facets) + count * facets
+        self.facets, cell = dr.arange(index, facets), dr.full(index, count, facets)
         self.flags, self.crowded, self.count = None, None, 0
         if max_error is not None:
             flags = _near(cells, table, max_error)
@@ -73,8 +73,8 @@ class NearLists:
             near = dr.compress(flags)
             self.count = dr.width(near)
             if self.count:
-                self.flags, entries = flags, dr.concat([near, entries])
-        self.facets, cell = entries % facets, entries // facets
+                self.flags = flags
+                self.facets, cell = dr.concat([near % facets, self.facets]), dr.concat([near // facets, cell])
         sizes = dr.zeros(index, (count + 1) * self.group_count)
         dr.scatter_add(sizes, index(1), cell * self.group_count + dr.gather(index, group_of, self.facets))
         self.bounds = dr.concat([index(0), dr.cumsum(sizes)])
