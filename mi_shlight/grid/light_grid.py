@@ -55,6 +55,8 @@ class LightGrid:
 
     Notes
     -----
+    A vertex or radiance that is infinite or NaN makes all results NaN, and so does a point in its lane.
+
     Differentiable with respect to `vertices` and `radiance`, through :py:meth:`eval` and :py:meth:`shade`; they are linear in what the grid
     holds. Which faces are near carries no derivative.
 
@@ -93,7 +95,8 @@ class LightGrid:
         channels = radiance if isinstance(radiance, list) else [self._number(column) for column in radiance.T]
         emitted = channels[0] if len(channels) == 1 else dr.ravel(array3(self._number)(*channels))
         table = facet_table(self._number, faces).placed(positions, emitted, len(channels))
-        dr.make_opaque(lower, upper)
+        self._finite = dr.all(dr.isfinite(positions)) & dr.all(dr.isfinite(emitted), axis=None)
+        dr.make_opaque(lower, upper, self._finite)
         cells = Cells(lower, upper, self.resolution)
         near = NearLists(cells, table, [0, len(faces)], max_error)
         self._nodes = NodeTable(cells, table, near, self.order, interpolation, method)
@@ -159,5 +162,5 @@ class LightGrid:
         return kind(x) * SCALE
 
     def _colour(self, channels: list, finite):
-        channels = [dr.select(finite, c, dr.nan) for c in channels]
+        channels = [dr.select(finite & self._finite, c, dr.nan) for c in channels]
         return channels[0] if len(channels) == 1 else array3(self._number)(*channels)

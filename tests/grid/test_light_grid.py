@@ -157,6 +157,15 @@ def test_points_that_are_not_finite(precision):
     assert np.isfinite(np.array(light_grid(precision).shade(x, TRANSFER))[:, 0]).all()
 
 
+def test_lights_that_are_not_finite(precision):
+    """Said as in project_mesh, not left out in silence."""
+    x, broken = wide(precision, POINTS[:4]), FAR.copy()
+    broken[2, 1] = np.nan
+    assert np.isnan(values(light_grid(precision, broken, FAR_FACES, RADIANCE[:2]).eval(x))).all()
+    dark = wide(precision, [[1, 1, np.inf], [1, 1, 1]])
+    assert np.isnan(np.array(light_grid(precision, FAR, FAR_FACES, dark).shade(x, TRANSFER))).all()
+
+
 @pytest.mark.parametrize("vertices", [ALL * 0, ALL[:1] + 0 * ALL, ALL * [1, 0, 0], np.round(ALL), ALL * 1e-20, ALL * 1e8])
 def test_degenerate_lights_stay_finite(precision, vertices):
     """Without area, at points of the grid, tiny and huge."""
