@@ -139,6 +139,23 @@ def reference_cases():
                      for k, name in enumerate(data["names"]))
 
 
+@functools.lru_cache(maxsize=None)
+def reference_stacks(*short):
+    """All reference cases as pairs (cases, vertices (count, N, 3)) for few N: those in `short`, and the largest number of corners.
+
+    Each case is where it needs the fewest. Corner i of N is the polygon's corner ``i * n // N``; repeated, it is the same polygon.
+    """
+    cases = reference_cases()
+    sizes = [*short, max(len(case.vertices) for case in cases)]
+    groups = [(n, [case for case in cases if low < len(case.vertices) <= n]) for low, n in zip([0, *sizes], sizes)]
+    return tuple((group, np.array([case.vertices[np.arange(n) * len(case.vertices) // n] for case in group])) for n, group in groups)
+
+
+def merge_repeated(values, corners):
+    """Sums over the repetitions of each corner: (N, ...) of a polygon of reference_stacks to (corners, ...)."""
+    return np.add.reduceat(values, -(-np.arange(corners) * len(values) // corners), axis=0)
+
+
 def _project_mp(vertices, x, order, digits):
     """Float64 coefficients, edge normals and edge moments of a polygon, computed in `digits` digits."""
     with mp.workdps(digits + 10):

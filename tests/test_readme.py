@@ -25,7 +25,7 @@ def beside_scenes(tmp_path, monkeypatch):
 
 
 def test_readme_has_examples():
-    assert len(PYTHON) >= 2 and {command.split()[1] for command in COMMANDS} >= {"render", "bake", "compare", "info"}
+    assert len(PYTHON) >= 2 and {command.split()[1] for command in COMMANDS} == {"render", "bake", "compare", "animate", "info"}
 
 
 @pytest.mark.parametrize("block", range(len(PYTHON)))
@@ -42,10 +42,9 @@ def test_commands_run(beside_scenes, capsys):
         assert program == "mi-shlight"
         if verb != "info":
             arguments += ["-D", "resx=24", "-D", "resy=24"]
-        if verb == "compare":
-            arguments += ["--reference-spp", "16", "--transfer-samples", "16"]
-        if verb == "animate":
-            arguments += ["--frames", "2", "--transfer-samples", "16"]
+        if verb in ("render", "animate", "compare"):
+            arguments += ["--transfer-samples", "16"]
+        arguments += {"compare": ["--reference-spp", "16"], "animate": ["--frames", "2"]}.get(verb, [])
         assert main([verb, *arguments]) == 0, f"{command}: {capsys.readouterr().err}"
         with contextlib.suppress(ValueError):
             assert (beside_scenes / arguments[arguments.index("-o") + 1]).exists()

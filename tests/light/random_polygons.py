@@ -64,8 +64,17 @@ def polygons_from(cases) -> Polygons:
 
 def wide(precision, rows):
     """Array (count, 3) as one wide vector."""
-    dtype = np.float32 if precision.eps > 1e-10 else np.float64
-    return precision.Array3(*(precision.Float(np.ascontiguousarray(c, dtype=dtype)) for c in np.transpose(rows)))
+    dtype = np.dtype(np.float32 if precision.eps > 1e-10 else np.float64)
+    return precision.Array3(*(precision.Float(_aligned(column, dtype)) for column in np.transpose(rows)))
+
+
+def _aligned(values, dtype):
+    """A copy at an address divisible by 64. Dr.Jit uses numpy's memory as it is, and compiles a kernel anew for another alignment."""
+    memory = np.empty(len(values) * dtype.itemsize + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    copy = memory[start:start + len(values) * dtype.itemsize].view(dtype)
+    copy[:] = values
+    return copy
 
 
 def coefficients(precision, polygons: Polygons, order: int, method: str, lists) -> np.ndarray:

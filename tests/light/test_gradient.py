@@ -67,16 +67,18 @@ SEEN = {}
 
 
 def reference_gradients(precision, method, function, order):
-    """Results for all reference polygons, those with equally many corners together."""
+    """Results for all reference polygons, many at once."""
     key = precision.eps, method, function.__name__, order
     if key not in SEEN:
         SEEN[key] = {}
-        for corners in {len(case.vertices) for case in CASES}:
-            cases = [case for case in CASES if len(case.vertices) == corners]
-            stacked = np.array([case.vertices for case in cases])
-            vertices = [wide(precision, stacked[:, i]) for i in range(corners)]
+        for cases, stacked in reference.reference_stacks(4):
+            vertices = [wide(precision, corner) for corner in np.swapaxes(stacked, 0, 1)]
             values, gradients = map(numbers, function(vertices, precision.vector((0, 0, 0)), order, method))
-            SEEN[key].update((case, (values[..., k], gradients[..., k])) for k, case in enumerate(cases))
+            for k, case in enumerate(cases):
+                of_corners = gradients[..., k]
+                if function is project_polygon_gradient:
+                    of_corners = reference.merge_repeated(of_corners, len(case.vertices))
+                SEEN[key][case] = values[..., k], of_corners
     return SEEN[key]
 
 

@@ -1,4 +1,7 @@
 """Shading as a differentiable operation: against coefficients, other derivatives, and in the places where it may stand."""
+import functools
+from types import SimpleNamespace
+
 import drjit as dr
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from test_degenerate import CASES as DEGENERATE
 
 QUAD = np.array([[-0.5, -0.4, 1.2], [0.6, -0.5, 1.0], [0.7, 0.5, 0.8], [-0.4, 0.6, 1.0]])
 PENTAGON = np.array([[-0.6, -0.5, 1.1], [0.5, -0.6, 1.1], [0.8, 0.3, 1.1], [0, 0.9, 1.1], [-0.7, 0.4, 1.1]])
+POLYGONS = {4: QUAD, 5: PENTAGON}
 ORDER = 4
 TRANSFER = np.cos(np.arange((ORDER + 1) ** 2))
 X = np.array([[0.1, 0.2, -0.1], [-0.3, 0.1, 0.2], [0.2, -0.1, -40]]).T            # the last one by cubature
@@ -25,19 +29,27 @@ def arrays(precision, corners=QUAD):
     return [precision.vector(v) for v in corners], x, [precision.Float(float(t)) for t in TRANSFER]
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("corners", [QUAD, PENTAGON], ids=["quad", "pentagon"])
-def test_value_and_gradients(precision, method, corners):
+@functools.lru_cache(maxsize=None)
+def slopes_by_cubature(sides):
+    """Derivatives (N, 3, points) of the dot product with TRANSFER, in float64, from those of the coefficients."""
+    double = SimpleNamespace(Array3=ad.Array3f64, Float=ad.Float64, vector=lambda v: ad.Array3f64(*map(float, v)))
+    vertices, x, _ = arrays(double, POLYGONS[sides])
+    slopes = project_polygon_gradient(vertices, x, ORDER, "quadrature")[1]
+    dr.eval(slopes)
+    return np.einsum("k,ikcl->icl", TRANSFER, np.array([[np.array(v) for v in s] for s in slopes]))
+
+
+@pytest.mark.parametrize("method, sides", [*((method, 4) for method in METHODS), ("edge", 5), ("auto", 5)])
+def test_value_and_gradients(precision, method, sides):
     """The dot product with the coefficients and with their derivatives, which other code computes."""
-    vertices, x, transfer = arrays(precision, corners)
+    vertices, x, transfer = arrays(precision, POLYGONS[sides])
     value, gradients = shade_polygon_gradient(vertices, x, transfer, ORDER, method)
-    coeffs, slopes = project_polygon_gradient(vertices, x, ORDER, "quadrature")
-    dr.eval(value, gradients, coeffs, slopes)
+    dr.eval(value, gradients)
     unit = precision.eps * np.linalg.norm(TRANSFER)
     assert np.allclose(value, TRANSFER @ np.array(project_polygon(vertices, x, ORDER, method)), rtol=0, atol=40 * unit)
     assert np.allclose(value, shade_polygon(vertices, x, transfer, ORDER, method), rtol=0, atol=10 * unit)
-    expected = np.einsum("k,ikcl->icl", TRANSFER, np.array([[np.array(v) for v in s] for s in slopes]))
-    assert np.allclose(np.array(gradients), expected, rtol=0, atol=max(60 * unit, 1e-11) if precision.eps < 1e-10 else 2e-5)
+    atol = max(60 * unit, 1e-11) if precision.eps < 1e-10 else 2e-5
+    assert np.allclose(np.array(gradients), slopes_by_cubature(sides), rtol=0, atol=atol)
 
 
 def test_reverse_and_forward_mode(precision):

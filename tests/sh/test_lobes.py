@@ -34,7 +34,7 @@ def test_sh_matrix_equals_scipy(order, tolerance):
 
 @pytest.mark.parametrize("order", [*range(STORED_ORDER + 1), 21, 40, MAX_ORDER])
 def test_weighted_lobes_are_the_harmonics(order):
-    table, d = lobes(order), sphere_directions()
+    table, d = lobes(order), sphere_directions()[::3 if order > STORED_ORDER + 1 else 1]     # thousands of lobes
     cosine, exact = np.clip(d @ table.directions.T, -1, 1), sh_basis(d, order)
     assert len(table.weights) == order + 1
     worst = 0.0
