@@ -2,15 +2,17 @@
 from __future__ import annotations
 
 import drjit as dr
+import numpy as np
 
 from .cells import CORNERS, Cells
 from .split import MAX_PAIRS, NearLists
 
 RESOLUTIONS = (4, 6, 8, 12, 16, 24, 32)
 
-EXACT, NODE, GATHER = 12.0, 40.0, 0.3
-"""Nanoseconds at order 8 for an edge of a facet at a point, for one at a grid point (with the gradient, three channels), and for each
-number read from the grid; one thread, float32. Their ratios decide; see validation/grid.py."""
+COSTS = {4: (12.5, 8, 23, 0.11), 8: (17, 11, 70, 0.12), 14: (31, 26, 220, 0.15)}
+"""Nanoseconds, by order, for an edge of a facet at a point without a grid, for one that is near to the point's cell, for one at a point of
+the grid (with the gradient, three channels), and for each number read from the grid. Measured with hundreds of triangles turned every way,
+method ``auto``, one thread; their ratios decide."""
 
 
 def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, samples, max_error: float):
@@ -20,9 +22,10 @@ def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, sa
     `groups`, `max_error`: see :py:class:`mi_shlight.grid.split.NearLists`.
     """
     facets, edges = table.count, dr.width(table.start)
-    by_order = ((order + 1) / 9) ** 2.5
-    exact, node = EXACT * by_order, NODE * by_order
-    read = GATHER * CORNERS * 4 * (order + 1) ** 2 * table.channels * (len(groups) - 1)
+    # powers of the order in between and beyond
+    exact, near_edge, node, gather = (np.exp(np.polyval(np.polyfit(np.log(np.add(list(COSTS), 1)), np.log(costs), 1), np.log(order + 1)))
+                                      for costs in zip(*COSTS.values()))
+    read = gather * CORNERS * 4 * (order + 1) ** 2 * table.channels * (len(groups) - 1)
     best, least = (None, None), points * edges * exact
     for resolution in RESOLUTIONS:
         cells = Cells(lower, upper, resolution)
@@ -31,7 +34,7 @@ def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, sa
         near = NearLists(cells, table, groups, max_error)
         per_facet = edges / facets
         cost = ((cells.point_count * facets + CORNERS * near.count) * per_facet * node
-                + points * (read + near.mean_length(cells, samples) * per_facet * exact))
+                + points * (read + near.mean_length(cells, samples) * per_facet * near_edge))
         if cost < least:
             best, least = (cells, near), cost
         elif best[0] is not None or cells.point_count * edges * node > least:

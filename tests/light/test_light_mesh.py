@@ -8,6 +8,7 @@ from autodiff import derivative
 from mi_shlight import project_mesh, project_polygon
 from mi_shlight.light.mesh import (
     MeshLight, mesh_shader, mesh_topology, project_mesh_light, triangle_solid_angle, zonal_mesh_shader)
+from mi_shlight.light.topology import MeshTables
 from mi_shlight.light.zonal import times_pole_value, zonal_lambert
 
 # A closed skew box of triangles, a quad and pentagons that are not plane; all faces are positive from inside.
@@ -449,6 +450,26 @@ def test_parts(precision, method):
         expected = projected(precision, vertices, own, radiance[part == k], points, 4, method, one_sided=True)
         assert np.abs(found - expected).max() < 100 * precision.eps * max(1, np.abs(expected).max())
         assert np.abs(expected).max() > 1e-3
+
+
+@pytest.mark.parametrize("method", ["auto", "edge", "quadrature"])
+def test_flat_parts(precision, method):
+    """Two sheets back to back, on one list of vertices: the test by part finds what the test by face does, from either side."""
+    vertices, faces, radiance = textured_quad(2)
+    faces, radiance = np.concatenate([faces, faces[:, ::-1]]), np.concatenate([radiance, 3 * radiance])
+    topology, index = mesh_topology(list(faces), np.repeat([0, 1], len(faces) // 2)), dr.uint32_array_t(precision.Float)
+    above = np.array([(0.1, 0.2, 0.9), (-0.7, 0.1, 0.2), (3.0, 40.0, 20.0)])
+    x = precision.Array3(*map(precision.Float, np.concatenate([above, above - [0, 0, 50]]).T))
+    found = []
+    for flat in (False, True):
+        tables = MeshTables(index, topology, flat=flat)
+        light = MeshLight(precision.Float(vertices.ravel()), tables, [precision.Float(radiance)], True)
+        coeffs = [c for k in range(2) for c in project_mesh_light(light.part(dr.opaque(index, k)), x, 3, method)]
+        dr.eval(coeffs)
+        found.append(np.array([np.array(c) for c in coeffs], dtype=float))
+    front, back = np.split(found[1], 2)
+    assert np.abs(found[1] - found[0]).max() < 20 * precision.eps
+    assert (front[0, :3] > 1e-5).all() and not front[:, 3:].any() and (back[0, 3:] > 1e-5).all() and not back[:, :3].any()
 
 
 def test_radiance_as_a_function(precision):
