@@ -5,6 +5,7 @@ import drjit as dr
 import numpy as np
 
 from .cells import CORNERS, Cells
+from .nodes import MAX_NUMBERS, PACKET
 from .split import MAX_PAIRS, NearLists
 
 RESOLUTIONS = (4, 6, 8, 12, 16, 24, 32)
@@ -32,6 +33,8 @@ def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, sa
         if cells.cell_count * facets > MAX_PAIRS:
             break
         near = NearLists(cells, table, groups, max_error)
+        if near.row_count(cells) * (4 * (order + 1) ** 2 * table.channels + PACKET) > MAX_NUMBERS:
+            break
         per_facet = edges / facets
         cost = ((cells.point_count * facets + CORNERS * near.count) * per_facet * node
                 + points * (read + near.mean_length(cells, samples) * per_facet * near_edge))

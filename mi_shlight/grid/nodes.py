@@ -53,10 +53,11 @@ class NodeTable:
         self.method = "edge" if method == "auto" else method
         self._groups, self._entries = near.group_count, (order + 1) ** 2 * 4 * table.channels
         self._stride = -(-self._entries // PACKET) * PACKET
-        rows = cells.point_count * near.group_count + (0 if near.flags is None else CORNERS * dr.width(near.crowded))
-        if rows * self._stride > MAX_NUMBERS:
+        numbers = near.row_count(cells) * self._stride
+        if numbers > MAX_NUMBERS:
             raise ValueError(message("light grid", "resolution", f"leave at most {MAX_NUMBERS} numbers to hold", cells.resolution,
-                                     f"There are {rows * self._stride} at order {order}. Choose a coarser grid or a lower order."))
+                                     f"There are {numbers} at order {order}. Choose a coarser grid (grid_resolution in shprt) or a lower "
+                                     "order."))
         index = self._index = type(table.first_edge)
         self._packet = _array_type(type(table.positions))
         self._points, self._cells_end = dr.opaque(index, cells.point_count), dr.opaque(index, cells.cell_count)

@@ -15,6 +15,7 @@ import numpy as np
 from ..arrays import array3
 from ..errors import message
 from ..light.polygon import direction
+from .cells import CORNERS
 
 SMOOTH, KINK = 0.06, 0.02
 """Root mean square error over a cell of what a facet shades, diffuse transfer, as a part of its solid angle times ``(h / d)^4``, or times
@@ -62,7 +63,7 @@ class NearLists:
         index, facets, count = type(table.first_edge), table.count, cells.cell_count
         if max_error is not None and count * facets > MAX_PAIRS:
             raise ValueError(message("light grid", "resolution", f"leave at most {MAX_PAIRS} pairs of cells and polygons", cells.resolution,
-                                     f"With {facets} polygons there are {count * facets}. Choose a coarser grid, or max_error=None."))
+                                     f"With {facets} polygons there are {count * facets}. Choose a coarser grid."))
         self.group_count = len(groups) - 1
         group_of = index(np.repeat(np.arange(self.group_count), np.diff(groups)).tolist())
         self.facets, cell = dr.arange(index, facets), dr.full(index, count, facets)
@@ -81,6 +82,10 @@ class NearLists:
         if self.count:
             self.crowded = dr.compress((sizes > 0) & (dr.arange(index, dr.width(sizes)) < count * self.group_count))
         dr.eval(self.bounds, self.facets)
+
+    def row_count(self, cells) -> int:
+        """Rows of numbers that a grid holds: for its points by group, and for the corners of cells with near facets."""
+        return cells.point_count * self.group_count + (0 if self.flags is None else CORNERS * dr.width(self.crowded))
 
     def mean_length(self, cells, x) -> float:
         """Mean number of near facets, of all groups, at points `x`."""
@@ -145,7 +150,8 @@ def _measure(table) -> tuple:
     middle, half = (low + high) * 0.5, (high - low) * 0.5
     power = functools.reduce(dr.maximum, (abs(dr.detach(r)) for r in table.radiance(k)))
     if dr.grad_enabled(table.emitted):                # derivatives by the radiance of a dark light are to be right, too
-        power = dr.maximum(power, dr.mean(power))
+        mean = dr.mean(power)
+        power = dr.maximum(power, dr.select(mean > 0, mean, 1))
     measure = centroid + u * middle[0] + v * middle[1], u, v, n, half, area, power
     dr.eval(measure)
     return measure

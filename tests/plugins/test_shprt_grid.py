@@ -152,9 +152,10 @@ def test_derivatives(monkeypatch, keys, parameters, mode):
     assert abs(slope - difference) < 1.5e-2 * abs(difference)
 
 
-def test_derivative_by_a_dark_light():
+@pytest.mark.parametrize("count", [LIGHTS, 0])
+def test_derivative_by_a_dark_light(count):
     """The start of an inverse problem: a light of radiance 0 is near to what it would light."""
-    what = room(LIGHTS, dark=fan(np.array([[0.3, 0.3, 0], [0.3, 0.3, 0.3], [0.6, 0.3, 0]]), emitter=emitter(radiance=(0, 0, 0))))
+    what = room(count, dark=fan(np.array([[0.3, 0.3, 0], [0.3, 0.3, 0.3], [0.6, 0.3, 0]]), emitter=emitter(radiance=(0, 0, 0))))
     slopes = []
     for more in ({}, GRID):
         parameters = mi.traverse(what)
