@@ -5,7 +5,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .light.cut import SUBDIVISIONS, cut, weld
+from .light.cut import SUBDIVISIONS, cut, is_convex, weld
 from .scene import PLANARITY
 
 
@@ -24,13 +24,13 @@ class MovingLights:
         self._welded = np.concatenate([weld(light.vertices) + first for light, first in zip(lights, self._first)])
         self._positions = np.concatenate([light.vertices for light in lights])
         self._planar = self._planes(self._positions)[0]
+        self._convex = [light.normal is not None or _is_convex(light, light.vertices) for light in lights]
 
     def follow(self) -> bool:
         """Give the lights their present vertices and normals. False, with nothing changed, if they have to be looked at anew.
 
         That is so if a mesh tears open, becomes planar or is no longer, loses its area, or turns its emitting side over; also if a
         texture is to be cut differently. Vertices that meet leave an outline with edges that cancel each other, which is as good.
-        That a mesh ceases to be convex is not reported.
         """
         buffers = [dr.detach(light.shape.vertex_positions_buffer()) for light in self._lights]
         if [dr.width(buffer) for buffer in buffers] != (3 * np.diff(self._first)).tolist():
@@ -42,7 +42,8 @@ class MovingLights:
             return False
         moved = np.logical_or.reduceat((positions != self._positions).any(axis=1), self._first[:-1])
         vertices = np.split(positions, self._first[1:-1])
-        if not all(self._keeps(light, v) for light, v, changed in zip(self._lights, vertices, moved) if changed):
+        of_lights = zip(self._lights, vertices, self._convex, moved)
+        if not all(self._keeps(light, v, convex) for light, v, convex, changed in of_lights if changed):
             return False
         for light, v, normal in zip(self._lights, vertices, normals):
             light.vertices = v
@@ -66,8 +67,12 @@ class MovingLights:
         return planar, normals, np.linalg.norm(vectors, axis=1)
 
     @staticmethod
-    def _keeps(light, vertices: np.ndarray) -> bool:
-        """True if the cut of the light's texture, and the side that it emits to, are with other vertices what they were."""
+    def _keeps(light, vertices: np.ndarray, convex: bool) -> bool:
+        """True if the cut of the light's texture, the side that it emits to, and whether its faces may hide one another are with other
+        vertices what they were.
+        """
+        if light.normal is None and _is_convex(light, vertices) != convex:
+            return False
         if light.textured and light.pieces is None:
             return False                              # its mean goes by the areas of its faces
         if light.pieces is not None:
@@ -78,3 +83,7 @@ class MovingLights:
             return True
         a, b, c = vertices[light.faces[0]]
         return np.ravel(np.array(light.shape.sample_position(0, mi.Point2f(0.5)).n)) @ np.cross(c - a, b - a) > 0
+
+
+def _is_convex(light, vertices: np.ndarray) -> bool:
+    return is_convex(light.faces[:, ::-1], vertices, PLANARITY)

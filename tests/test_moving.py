@@ -97,8 +97,8 @@ def lift(corner, by):
 @pytest.mark.parametrize("name, change", [
     ("planar", lift(1, 0.3)), ("bent", lambda v: v * [1, 0, 1]), ("apart", lift(0, 1e-4)), ("planar", lambda v: v * [0, 1, 0]),
     ("bent", lambda v: v * np.nan), ("plain", mi.ScalarTransform4f().scale([-1, 1, 1])),
-    ("textured", mi.ScalarTransform4f().scale([4, 1, 1]))],
-    ids=["bent", "flattened", "torn", "without area", "not finite", "mirrored", "texture cut otherwise"])
+    ("textured", mi.ScalarTransform4f().scale([4, 1, 1])), ("bent", lambda v: v * [1, -1, 1])],
+    ids=["bent", "flattened", "torn", "without area", "not finite", "mirrored", "texture cut otherwise", "hollow where it was convex"])
 def test_what_is_not(name, change):
     """The lights are then left as they were."""
     case = Scene()

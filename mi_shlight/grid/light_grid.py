@@ -30,9 +30,10 @@ class LightGrid:
     lower, upper : 3-vectors
         Corners of the box that the grid fills, in the units of `vertices`.
     resolution : int
-        Grid points along each axis, 2 to 256 ([W20]: 8).
+        Grid points along each axis, 2 to 256 ([W20]: 8), as far as memory permits: about 64 at order 8 with three channels.
     order : int
-        Highest degree, 0 to 64. The grid holds ``4 (order + 1)**2`` numbers for each point and channel.
+        Highest degree, 0 to 64. The grid holds ``4 (order + 1)**2`` numbers for each channel and point, and for the eight corners of each
+        cell with near faces.
     interpolation : str
         ``"hermite"`` (default): cubic, of values and gradients, error of fourth order in the size of the cells.
         ``"tricubic"``: [W20] Algorithm 4; the same along the axes, of third order elsewhere. For comparison only:
@@ -49,8 +50,8 @@ class LightGrid:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, shape or range, none of them is a Dr.Jit type (the grid needs a JIT backend), or the box
-        is empty.
+        If an argument has the wrong type, shape or range, none of them is a Dr.Jit type (the grid needs a JIT backend), the box is
+        empty, or the grid would hold more than 2**28 numbers.
     RuntimeError
         Inside a symbolic loop or call of Dr.Jit.
 
@@ -61,8 +62,8 @@ class LightGrid:
     Differentiable with respect to `vertices` and `radiance`, through :py:meth:`eval` and :py:meth:`shade`; they are linear in what the grid
     holds. Which faces are near carries no derivative.
 
-    The estimate of `max_error` is measured (validation/grid.py), not a bound. Where faces change from near to far, from one cell to the
-    next, values jump by about `max_error`.
+    The estimate of `max_error` is measured for ``hermite`` (validation/grid.py), not a bound. Where faces change from near to far, from one
+    cell to the next, values jump by about `max_error`.
 
     Examples
     --------
