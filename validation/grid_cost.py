@@ -49,6 +49,7 @@ class Plan(NamedTuple):
     light_counts: tuple = (1, 2, 8, 32, 72, 128, 288, 512)
     resolutions: tuple = (4, 6, 8, 12, 16, 24, 32)
     sweep_points: int = 1 << 15
+    """Vertices lit by grids of all resolutions."""
     shared_side: int = 16
     shared_points: int = 1 << 15
     moving_points: int = 100_000
@@ -240,9 +241,9 @@ def node_points(scene: Scene, resolution: int = RESOLUTION):
 
 
 def measure_light_counts(record: Record, plan: Plan) -> None:
-    """[W20] Fig. 8: one rectangle in more and more pieces."""
+    """[W20] Fig. 8: all vertices lit by one rectangle in more and more pieces."""
     scene = table_scene("Plants", plan.scale)
-    points = receivers(scene, plan.sweep_points)
+    points = receivers(scene)
     for count in plan.light_counts:
         print(f"lights: {count}", file=sys.stderr, flush=True)
         lights = rectangle(count)

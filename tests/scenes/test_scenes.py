@@ -1,7 +1,8 @@
 """The example scenes: reproducible, small, and what their descriptions promise."""
 import functools
-import importlib.util
+import importlib
 import re
+import sys
 from pathlib import Path
 
 import mitsuba as mi
@@ -25,10 +26,9 @@ def variant():
 
 @pytest.fixture(scope="module")
 def generator():
-    spec = importlib.util.spec_from_file_location("generate_scenes", SCENES / "generate.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCENES)
+        yield importlib.import_module("generate")
 
 
 def text_of(name: str) -> str:
@@ -274,6 +274,6 @@ def test_cornell_box_is_mitsubas_own():
 
 
 def test_ply_writer_refuses_more_vertices_than_16_bit_indices_reach(generator, tmp_path):
-    surface = generator.Surface(np.zeros((65537, 3)), np.zeros((1, 3), dtype=int))
+    surface = sys.modules["generate_meshes"].Surface(np.zeros((65537, 3)), np.zeros((1, 3), dtype=int))
     with pytest.raises(ValueError, match="at most 65536 vertices, got 65537"):
         generator.write_ply(tmp_path / "large.ply", surface)
