@@ -46,9 +46,6 @@ class FacetTable:
         table.centroid, table.normal = table._planes()
         return table
 
-    def detached(self) -> "FacetTable":
-        return dataclasses.replace(self, positions=dr.detach(self.positions), emitted=dr.detach(self.emitted))
-
     def edges(self, k, x, active) -> EdgeBuffer:
         """Edges and strips of facet `k` for the points that it lights: none where `x` lies behind it or `active` is false."""
         facing = active & self.faces(k, x)
