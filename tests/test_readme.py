@@ -50,13 +50,13 @@ def test_commands_run(beside_scenes, capsys):
             assert (beside_scenes / arguments[arguments.index("-o") + 1]).exists()
 
 
-def test_xml_example_loads(beside_scenes):
+def test_xml_examples_load(beside_scenes):
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    (xml,) = re.findall(r"```xml\n(.*?)```", README, re.DOTALL)
-    scene = mi.load_string(f'<scene version="3.0.0">{xml}</scene>', optimize=False)
-    assert scene.integrator().parameters()["transfer"] == "shadowed" and len(scene.emitters()) == 1
+    scenes = [mi.load_string(f'<scene version="3.0.0">{xml}</scene>', optimize=False)
+              for xml in re.findall(r"```xml\n(.*?)```", README, re.DOTALL)]
+    assert [scene.integrator().grid_resolution for scene in scenes] == [0, "auto"] and len(scenes[0].emitters()) == 1
 
 
 def test_make_targets_and_links_exist():
