@@ -127,9 +127,10 @@ def test_launches_share_their_kernels(table, monkeypatch):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             bake_transfer(table, 0, samples=16, max_edge=0.5)
-            return {entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT])}
+            # Small ones copy numpy's memory, and there is one for each alignment that it happens to have.
+            return {entry["hash"] for entry in dr.kernel_history([dr.KernelType.JIT]) if entry["operation_count"] > 100}
 
-    assert kernels(19) <= kernels(50)
+    assert kernels(19) <= kernels(50) != set()
 
 
 def test_progress_on_a_terminal_only(table, capsys):
