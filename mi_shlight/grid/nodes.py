@@ -45,8 +45,6 @@ class NodeTable:
         One of ``INTERPOLATIONS``.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("near", "_rows", "_own", "_points", "_cells_end"), object)
-
     def __init__(self, cells: Cells, table: FacetTable, near: NearLists, order: int, interpolation: str, method: str):
         self.cells, self.table, self.near, self.order, self._interpolation = cells, table, near, order, interpolation
         # Near facets are not as small as to need the cubature, and those far off matter together. Its mere presence doubles the time.
