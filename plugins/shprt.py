@@ -139,134 +139,23 @@ JIT variants (``llvm_*``, ``cuda_*``) only.
 """
 from __future__ import annotations
 
-import os
 import warnings
+from dataclasses import asdict, fields
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ..errors import StaleTransferWarning, check_choice, check_integer, check_number, check_parameters, message
-from ..grid.cells import INTERPOLATIONS, MAX_RESOLUTION
-from ..light.mesh import mesh_shader, project_mesh_light, zonal_mesh_shader
-from ..light.project import METHODS, default_error, light_shader, project_light
+from ..errors import StaleTransferWarning, message
+from ..light.project import default_error
 from ..light.quadrature import node_tables
-from ..light.zonal import times_pole_value, zonal_lambert, zonal_light_shader, zonal_shader
-from ..lights import LightTable
-from ..moving import MovingLights
-from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
-from ..scene_grid import SceneGrid
-from ..sh.basis import check_order
+from ..scene import Fingerprint
+from ..shading.hits import hit_transfer
+from ..shading.near import NearLights, Points, luminance
+from ..shading.settings import DEFAULT_SAMPLES, Settings, read_settings
+from ..shading.state import SceneState, moved
 from ..transfer.bake import trace_transfer
-from ..transfer.cosine import cosine_transfer
 from ..transfer.store import load_transfer
-from ..transfer.visibility import BakeLights, Occluders, light_groups, shadowed_transfer
 from .shlight import check_attached
-
-DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
-
-DEFAULTS = {"order": 8, "method": "auto", "transfer": "shadowed", "transfer_domain": "vertex", "transfer_samples": 0,
-            "transfer_file": "", "max_edge": 0.0, "light_margin": 0.0, "grid_resolution": 0, "grid_interpolation": "hermite",
-            "grid_error": 1e-3, "strict": False, "coefficients": False}
-
-
-def read_parameters(props) -> dict:
-    """Checked parameters of the plugin; TypeError or ValueError names a bad one, its rule and the fix."""
-    check_parameters("shprt", props, tuple(DEFAULTS))
-    value = {name: props.get(name, default) for name, default in DEFAULTS.items()}
-    value["order"] = check_order("shprt", value["order"])
-    check_choice("shprt", "method", value["method"], METHODS)
-    check_choice("shprt", "transfer", value["transfer"], ("unshadowed", "shadowed"))
-    check_choice("shprt", "transfer_domain", value["transfer_domain"], tuple(DEFAULT_SAMPLES))
-    hint = "It is a number of rays; 0 chooses by transfer_domain."
-    value["transfer_samples"] = check_integer("shprt", "transfer_samples", value["transfer_samples"], 0, 65536, hint)
-    for name in ("max_edge", "light_margin"):
-        value[name] = check_number("shprt", name, value[name], 0, hint="It is a length in scene units.")
-    if isinstance(value["grid_resolution"], str) and value["grid_resolution"].isdigit():       # -D name=value gives text
-        value["grid_resolution"] = int(value["grid_resolution"])
-    if value["grid_resolution"] != "auto":
-        hint = "It is a number of grid points along an axis; 0: no grid, 'auto': what costs least."
-        value["grid_resolution"] = check_integer("shprt", "grid_resolution", value["grid_resolution"], 0, MAX_RESOLUTION, hint)
-        if value["grid_resolution"] == 1:
-            raise ValueError(message("shprt", "grid_resolution", "be 0, 'auto', or two or more", 1, hint))
-    if value["grid_resolution"] != 0 and mi.is_spectral:
-        raise ValueError(message("shprt", "grid_resolution", "be 0 in spectral variants", value["grid_resolution"],
-                                 "A grid holds sums over lights for a few channels. Use an rgb or mono variant."))
-    check_choice("shprt", "grid_interpolation", value["grid_interpolation"], INTERPOLATIONS)
-    hint = "It is a relative error; 0 interpolates all lights."
-    value["grid_error"] = check_number("shprt", "grid_error", value["grid_error"], 0, 1, hint)
-    if value["grid_resolution"] == "auto" and value["grid_error"] == 0:
-        rule = "be above 0 with grid_resolution='auto', which chooses by it"
-        raise ValueError(message("shprt", "grid_error", rule, value["grid_error"], "For instance 1e-3."))
-    for name in ("strict", "coefficients"):
-        if not isinstance(value[name], bool):
-            raise TypeError(message("shprt", name, "be true or false", value[name]))
-    if not isinstance(value["transfer_file"], str):
-        raise TypeError(message("shprt", "transfer_file", "be the path of a baked file", value["transfer_file"]))
-    if value["transfer_file"]:
-        if value["transfer"] != "shadowed" or value["transfer_domain"] != "vertex":
-            raise ValueError(message("shprt", "transfer_file", "go with transfer='shadowed' and transfer_domain='vertex'",
-                                     value["transfer_file"], "Leave it out, or change those."))
-        path = str(mi.file_resolver().resolve(value["transfer_file"]))
-        if not os.path.isfile(path):
-            raise FileNotFoundError(message("shprt", "transfer_file", "name an existing file", value["transfer_file"],
-                                            "Bake one with 'mi-shlight bake SCENE -o FILE', or leave it out to bake at the first render."))
-        value["transfer_file"] = path
-    return value
-
-
-class SceneState:
-    """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
-
-    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "polygons", "meshes", "occluders", "table", "bake_lights", "lookup",
-                                  "grid"), object)
-
-    def __init__(self, scene, strict: bool, seen: Fingerprint):
-        self.seen = seen
-        complain = refuse if strict else warn
-        self.lights = polygon_lights(scene, complain)
-        self.receivers = receivers(scene, complain)
-        size = 1 + max((shape_index(r.shape) for r in self.receivers), default=0)
-        table = np.zeros((2, size), int)
-        for r in self.receivers:
-            table[:, shape_index(r.shape)] = r.two_sided, r.black
-        self.size = size
-        self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
-        self.all_baked = all(r.baked or r.black for r in self.receivers)
-        bounds = light_groups(len(self.lights))
-        self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
-        self.occluders = Occluders(scene, self.lights)
-        self.table = LightTable(self.lights)
-        # bounds of each group among the polygons and the lights of triangles
-        self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
-        self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
-        self.bake_lights = BakeLights(self.lights, 0.0)
-        self.moving = MovingLights(self.lights)
-        self.lookup = self.grid = None
-
-    def follow(self, seen: Fingerprint) -> bool:
-        """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""
-        if self.seen.geometry != seen.geometry or self.seen.light_faces != seen.light_faces or not self.moving.follow():
-            return False
-        self.seen = seen
-        return True
-
-    def make_grid(self, resolution, interpolation: str, max_error: float, order: int, method: str) -> None:
-        """Set up the light grid."""
-        facets = self.table.first_facet[light_groups(len(self.lights))]
-        self.grid = SceneGrid(self.receivers, facets, resolution, interpolation, max_error, order, method)
-
-    def flag(self, table, shape, active):
-        """Entry of a per-shape table at a hit, as a mask."""
-        number = dr.reinterpret_array(mi.UInt32, shape)
-        return dr.gather(mi.UInt32, table, number, active & (number < self.size)) > 0
-
-
-def moved(old: list, new: list) -> float:
-    """Largest distance any vertex of the lights' outlines has moved; infinite if lights or edges were added or removed."""
-    if [len(o) for o in old] != [len(n) for n in new]:
-        return float("inf")
-    return float(np.linalg.norm(np.concatenate(old) - np.concatenate(new), axis=-1).max())
 
 
 def build():
@@ -277,7 +166,7 @@ def build():
         __doc__ = globals()["__doc__"]
 
         def __init__(self, props):
-            self._parameters = read_parameters(props)
+            self._settings = read_settings(props)
             super().__init__(mi.Properties("shprt"))
             self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
             if self._transfer is not None and self._transfer.order < self.order:
@@ -288,10 +177,10 @@ def build():
 
         def parameters(self) -> dict:
             """All parameters with their values, as `mi.load_dict` takes them."""
-            return dict(self._parameters)
+            return asdict(self._settings)
 
         def to_string(self):
-            lines = ",\n".join(f"  {name} = {value!r}" for name, value in self._parameters.items())
+            lines = ",\n".join(f"  {name} = {value!r}" for name, value in self.parameters().items())
             return f"SHPRT[\n{lines}\n]"
 
         def aov_names(self):
@@ -357,10 +246,13 @@ def build():
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
                 table = self._state.table.attached()
-                nodes = self._grid_nodes(table, dr.width(ray))
-                reflected = self._reflected(table, nodes, pi, si, sampler, valid)
+                near = NearLights(self._state, table, self._grid_nodes(table, dr.width(ray)), self.order, self.method)
+                reflected = self._reflected(table, near, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
-                aovs = self._coefficients(table, nodes, si, valid) if self.coefficients else []
+                aovs = []
+                if self.coefficients:
+                    weigh = lambda radiance: luminance(radiance, si.wavelengths)
+                    aovs = near.coefficients(Points(si.p, si.n, si.wavelengths, valid), weigh)
                 return mi.depolarizer(reflected) + emitted, valid, aovs, None
 
         def _grid_nodes(self, table, points: int):
@@ -375,137 +267,19 @@ def build():
                                    "Call mi.render(scene, integrator=integrator) first, and again whenever lights have moved far.")
             return grid.nodes(table.facets)
 
-        def _reflected(self, table, nodes, pi, si, sampler, valid):
+        def _reflected(self, table, near, pi, si, sampler, valid):
             """Light scattered towards the camera; unpolarised spectrum."""
             state = self._state
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
-            n = dr.select(front, si.sh_frame.n, -si.sh_frame.n)
-            method = self.method if nodes is None else nodes.method
-            shading_of = self._shading_source(table, method, pi, si, n, ~front, sampler, lit)
-            irradiance = self._lighting(table, nodes, shading_of, si, n, lit)
-            return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * irradiance & lit
-
-        def _shading_source(self, table, method: str, pi, si, n, back_side, sampler, lit):
-            """Function from a light group's number to the transfer at each hit, and the shaders, for polygons and for meshes, that meet the
-            group's lights with it.
-
-            All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
-            """
+            points = Points(si.p, dr.select(front, si.sh_frame.n, -si.sh_frame.n), si.wavelengths, lit)
             if self.transfer == "unshadowed":
-                shading = lambda n: cosine_transfer(n, self.order), *self._unshadowed_shaders(n, method)
-                return lambda g, first, last: shading
-            state, lookup, traced, p, n = self._state, None, lit, dr.detach(si.p), dr.detach(n)
-            if self.transfer_domain == "vertex":
-                lookup = state.lookup
-                rows, weights, baked = lookup.rows_at(pi, si.shape, back_side, lit)
-                traced = lit & ~baked
-            if lookup is None or not state.all_baked:
-                shift, lights = sampler.next_2d(lit), state.bake_lights.at(*table.outlines())
-                samples = self.transfer_samples if lookup is None and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
+                white = near.unshadowed(points)
+            else:
+                white = near.shadowed(points, hit_transfer(state, self._settings, table, pi, si.shape, points, ~front, sampler))
+            return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * white & lit
 
-            def shading_of(g, first, last):
-                coeffs = lookup.coefficients(rows, weights, baked, g, self.order) if lookup else None
-                if lookup is None or not state.all_baked:
-                    by_rays = shadowed_transfer(state.occluders, lights, (first, last), p, n, self.order, samples,
-                                                shift, traced)[0]
-                    coeffs = [dr.select(traced, t, c) for t, c in zip(by_rays, coeffs)] if coeffs else by_rays
-                coeffs = [dr.detach(t) for t in coeffs]
-                shade, shade_mesh = light_shader(coeffs, self.order, method), mesh_shader(coeffs, self.order, method)
-                return lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x)
-
-            return shading_of
-
-        def _unshadowed_shaders(self, n, method: str):
-            """Shaders for hits with normal `n` where nothing casts shadows."""
-            weights = times_pole_value(zonal_lambert(self.order))       # symmetric about n: order + 1 numbers instead of (order + 1)^2
-            by_zones = zonal_shader if method == "edge" else zonal_light_shader
-            zonal = lambda light, x, apex, n: by_zones(n, weights)(light, x, apex)
-            if method in ("auto", "edge"):
-                return zonal, zonal_mesh_shader(weights, method)
-            transfer = cosine_transfer(dr.detach(n), self.order)
-            full, full_mesh = (make(transfer, self.order, method) for make in (light_shader, mesh_shader))
-            if not dr.grad_enabled(n):
-                return lambda light, x, apex, n: full(light, x, apex), lambda light, x, n: full_mesh(light, x)
-
-            def shade(light, x, apex, n):
-                turned = zonal(light.detached(), dr.detach(x), apex, n)
-                return full(light, x, apex) + dr.replace_grad(mi.Float(0), turned)
-
-            def shade_mesh(light, x, n):
-                value, turned = full_mesh(light, x), zonal_mesh_shader(weights)(light.detached(), dr.detach(x), n)
-                return value + dr.replace_grad(type(value)(0), turned)
-
-            return shade, shade_mesh
-
-        def _lighting(self, table, nodes, shading_of, si, n, lit):
-            """``sum_k L_k sum_lm T_lm L_lm`` over all lights: the radiance a white surface would send to the camera."""
-            state, wavelengths, Spectrum = self._state, si.wavelengths, table.spectrum
-            meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
-
-            def each(body, first, last, x, n):
-                step = lambda k, total, x, n: (k + 1, total + body(k, x, n), x, n)
-                return dr.while_loop((first, Spectrum(0), x, n), lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1]
-
-            def group_body(g, total, x, n):
-                bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
-                transfer, shade, shade_mesh = shading_of(g, *bounds(state.groups))
-                if nodes is not None:
-                    return g + 1, total + Spectrum(*nodes.shade(x, transfer(n), shade, g, lit, (n,))), x, n
-
-                def polygon(i, x, n):
-                    k = table.polygon(i)
-                    return table.radiance(k, wavelengths) * shade(table.facets.edges(k, x, lit), x, table.facets.apex(k, x), n)
-
-                def mesh(k, x, n):
-                    value = shade_mesh(meshes.part(k), x, n)
-                    return Spectrum(value) if dr.depth_v(value) == 1 else Spectrum(*value)
-
-                if len(table.polygons):
-                    total = total + each(polygon, *bounds(state.polygons), x, n)
-                if meshes:
-                    total = total + each(mesh, *bounds(state.meshes), x, n)
-                return g + 1, total, x, n
-
-            start = (mi.UInt32(0), Spectrum(0), mi.Point3f(si.p), mi.Normal3f(n))
-            return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
-
-        def _coefficients(self, table, nodes, si, valid):
-            """SH coefficients of all lights at the hits, weighted by the luminance of their radiance."""
-            wavelengths = si.wavelengths
-            weigh = lambda radiance: luminance(radiance, wavelengths)
-            if nodes is not None:
-                groups = [nodes.eval(mi.Point3f(si.p), mi.UInt32(g), valid) for g in range(self._state.group_count)]
-                return [sum(weigh(table.spectrum(*colour)) for colour in colours) for colours in zip(*groups)]
-
-            def each(body, count):
-                def step(k, total, x):
-                    weight, coeffs = body(k, x)
-                    return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
-
-                start = (mi.UInt32(0), [mi.Float(0) for _ in range((self.order + 1) ** 2)], mi.Point3f(si.p))
-                return dr.while_loop(start, lambda k, *_: k < count, step, mode="symbolic", max_iterations=-1)[1]
-
-            def polygon(i, x):
-                k = table.polygon(i)
-                coeffs = project_light(table.facets.edges(k, x, valid), x, table.facets.apex(k, x), self.order, self.method)
-                return weigh(table.radiance(k, wavelengths)), coeffs
-
-            sums = []
-            if len(table.polygons):
-                sums.append(each(polygon, len(table.polygons)))
-            if len(table.meshes):
-                meshes = table.mesh_light(wavelengths, weigh)
-                mesh = lambda k, x: (1, project_mesh_light(meshes.part(k), x, self.order, self.method))
-                sums.append(each(mesh, len(table.meshes)))
-            return [sum(values) for values in zip(*sums)]
-
-    for name in DEFAULTS:                             # read-only: a bake and its tables depend on them
-        setattr(SHPRT, name, property(lambda self, name=name: self._parameters[name]))
-
-    def luminance(radiance, wavelengths):
-        if mi.is_monochromatic:
-            return radiance[0]
-        return mi.luminance(radiance, wavelengths) if mi.is_spectral else mi.luminance(radiance)
+    for name in (field.name for field in fields(Settings)):         # read-only: a bake and its tables depend on them
+        setattr(SHPRT, name, property(lambda self, name=name: getattr(self._settings, name)))
 
     return SHPRT

@@ -10,16 +10,17 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (
     {"errors", "arrays", "files", "llvm"},
     {"sh"},
-    {"light"},
+    {"light", "environment"},
     {"grid"},
     {"scene"},
     {"lights", "moving", "scene_grid"},
     {"transfer"},
+    {"shading"},
     {"plugins"},
     {"exr", "rendering", "panel", "compare", "motion", "animation"},
     {"cli", "__main__"},
 )
-USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "plugins", "rendering", "compare", "animation", "cli"}
+USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "shading", "plugins", "rendering", "compare", "animation", "cli"}
 
 
 def modules():

@@ -1,0 +1,66 @@
+"""What the integrator `shprt` keeps of a scene between pictures."""
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..lights import LightTable
+from ..moving import MovingLights
+from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
+from ..scene_grid import SceneGrid
+from ..transfer.visibility import BakeLights, Occluders, light_groups
+
+
+class SceneState:
+    """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
+
+    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "polygons", "meshes", "occluders", "table", "bake_lights", "lookup",
+                                  "grid"), object)
+
+    def __init__(self, scene, strict: bool, seen: Fingerprint):
+        self.seen = seen
+        complain = refuse if strict else warn
+        self.lights = polygon_lights(scene, complain)
+        self.receivers = receivers(scene, complain)
+        size = 1 + max((shape_index(r.shape) for r in self.receivers), default=0)
+        table = np.zeros((2, size), int)
+        for r in self.receivers:
+            table[:, shape_index(r.shape)] = r.two_sided, r.black
+        self.size = size
+        self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
+        self.all_baked = all(r.baked or r.black for r in self.receivers)
+        bounds = light_groups(len(self.lights))
+        self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
+        self.occluders = Occluders(scene, self.lights)
+        self.table = LightTable(self.lights)
+        # bounds of each group among the polygons and the lights of triangles
+        self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
+        self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
+        self.bake_lights = BakeLights(self.lights, 0.0)
+        self.moving = MovingLights(self.lights)
+        self.lookup = self.grid = None
+
+    def follow(self, seen: Fingerprint) -> bool:
+        """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""
+        if self.seen.geometry != seen.geometry or self.seen.light_faces != seen.light_faces or not self.moving.follow():
+            return False
+        self.seen = seen
+        return True
+
+    def make_grid(self, resolution, interpolation: str, max_error: float, order: int, method: str) -> None:
+        """Set up the light grid."""
+        facets = self.table.first_facet[light_groups(len(self.lights))]
+        self.grid = SceneGrid(self.receivers, facets, resolution, interpolation, max_error, order, method)
+
+    def flag(self, table, shape, active):
+        """Entry of a per-shape table at a hit, as a mask."""
+        number = dr.reinterpret_array(mi.UInt32, shape)
+        return dr.gather(mi.UInt32, table, number, active & (number < self.size)) > 0
+
+
+def moved(old: list, new: list) -> float:
+    """Largest distance any vertex of the lights' outlines has moved; infinite if lights or edges were added or removed."""
+    if [len(o) for o in old] != [len(n) for n in new]:
+        return float("inf")
+    return float(np.linalg.norm(np.concatenate(old) - np.concatenate(new), axis=-1).max())
