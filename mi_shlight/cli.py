@@ -391,12 +391,20 @@ def _define(text):
 SHPRT_OPTIONS = {
     "order": dict(type=_number, metavar="N", help="highest spherical-harmonic degree"),
     "method": dict(metavar="M", help="how lights are projected: auto, recurrence, edge, quadrature"),
-    "transfer": dict(metavar="K", help="shadowed or unshadowed"),
+    "transfer": dict(metavar="K", help="unshadowed, shadowed or exact, plus interreflected, plus glossy, such as exact+glossy"),
     "transfer_domain": dict(metavar="D", help="vertex (baked) or pixel (rays at each hit)"),
     "transfer_samples": dict(type=_number, metavar="N", help="rays per vertex or per pixel hit; 0: the default"),
     "transfer_file": dict(metavar="FILE", help="use a transfer made by 'mi-shlight bake'"),
     "max_edge": dict(type=_number, metavar="X", help="longest triangle edge of the bake, in scene units; 0: automatic"),
     "light_margin": dict(type=_number, metavar="X", help="how far lights may move after the bake, in scene units"),
+    "localised": dict(action=argparse.BooleanOptionalAction, default=None, help="fit transfer where near lights can be (the default)"),
+    "window": dict(metavar="W", help="against ringing of transfer that is not localised: none, hann, lanczos, gauss"),
+    "bounces": dict(type=_number, metavar="N", help="reflections between surfaces; 0: until bounce-tolerance"),
+    "bounce_tolerance": dict(type=_number, metavar="X", help="share that the next reflection may add"),
+    "bounce_samples": dict(type=_number, metavar="N", help="rays per vertex that look for light from other surfaces"),
+    "bounce_lighting": dict(metavar="L", help="gather (lights light the surfaces themselves) or transfer (as if lights were distant)"),
+    "visibility_order": dict(type=_number, metavar="N", help="degree of visibility for glossy reflection"),
+    "bsdf_order": dict(type=_number, metavar="N", help="degree of BSDFs for glossy reflection"),
     "grid_resolution": dict(type=_number_or_auto, metavar="M", help="points of the light grid along an axis; 0: none; or auto"),
     "grid_interpolation": dict(metavar="I", help="hermite, tricubic, trilinear, taylor, inverse_distance"),
     "grid_error": dict(type=_number, metavar="X", help="relative error up to which lights go through the grid; 0: all do"),
@@ -462,7 +470,7 @@ def _parser() -> _Parser:
     bake.set_defaults(run=_bake)
 
     compare = commands.add_parser("compare", allow_abbrev=False, help="render with shprt and with path tracing",
-                                  description="Render a scene with shprt and with path (max_depth 2: direct illumination); "
+                                  description="Render a scene with shprt and with path (direct illumination, or as many bounces as shprt); "
                                   "write both EXR files, a panel of pictures and a report of errors and times.")
     _add_scene(compare, "DIR", "folder for the results; made if missing")
     _add_camera(compare)

@@ -21,7 +21,8 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, senso
             progress=None):
     """Render a scene with `shprt` and with `path`, and write both images, a panel and a report.
 
-    The reference is Mitsuba's ``path`` with ``max_depth=2``: emission and direct illumination, which is what `shprt` models.
+    The reference is Mitsuba's ``path`` with ``max_depth=2``: emission and direct illumination; with interreflected transfer of N bounces
+    ``max_depth`` is N + 2, and without limit where their number is open.
     It is rendered as two independent halves, whose difference tells the noise of their mean. Errors are taken over the pixels
     that see a surface and no part of an emitter.
 
@@ -64,6 +65,8 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, senso
     """
     import mitsuba as mi
 
+    from .shading.settings import parse_transfer
+
     folder = Path(folder)
     if not folder.is_dir():
         raise NotADirectoryError(message("compare", "folder", "be an existing folder", str(folder), "Create it first."))
@@ -84,7 +87,10 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, senso
     sh, names = image(integrator, "shprt", spp, seed)
     first_render = time.perf_counter() - start - bake
 
-    path = mi.load_dict({"type": "path", "max_depth": 2})
+    depth = integrator.bounces + 2 if integrator.bounces else -1
+    if not parse_transfer("compare", integrator.transfer).interreflected:
+        depth = 2
+    path = mi.load_dict({"type": "path", "max_depth": depth})
     half = (reference_spp + 1) // 2
     halves = [colours(*image(path, f"path, half {k} of 2", half, mi.sample_tea_32(seed, k)[0])) for k in (1, 2)]
     reference = (halves[0] + halves[1]) / 2
@@ -107,13 +113,13 @@ def compare(scene, folder, *, integrator=None, spp=16, reference_spp=1024, senso
 
     settings = {**(metadata or {}), **integrator.parameters()}
     report = {"scene": title, "size": [sh.shape[1], sh.shape[0]], "spp": spp, "reference_spp": 2 * half, "seed": seed,
-              "reference": "path, max_depth=2 (direct illumination)", "settings": settings, "errors": errors,
+              "reference": f"path, max_depth={depth}", "settings": settings, "errors": errors,
               "noise": noise, "times": times, "shaded_pixels": int(mask.sum())}
 
     planes = dict(zip(names, np.moveaxis(sh, -1, 0)))
     write_exr(folder / "sh.exr", planes, {**settings, "spp": spp, "seed": seed})
     write_exr(folder / "reference.exr", dict(zip("RGB", np.moveaxis(reference, -1, 0))),
-              {"integrator": "path", "max_depth": 2, "spp": 2 * half, "seed": seed})
+              {"integrator": "path", "max_depth": depth, "spp": 2 * half, "seed": seed})
     draw_panel(folder / "panel.png", colours(sh, names), reference, mask, report)
     with replacing(folder / "report.json") as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n")

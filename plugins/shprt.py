@@ -210,7 +210,7 @@ def build():
                 self._state = SceneState(scene, self.strict, seen)
                 if self.grid_resolution:
                     self._state.make_grid(self.grid_resolution, self.grid_interpolation, self.grid_error, self.order, self.method)
-            if self.transfer == "unshadowed" or self.transfer_domain == "pixel":
+            if self._settings.parts.direct == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             if changed or self._state.lookup is None:
                 lookup, self._state.lookup = old and old.lookup, None
@@ -273,7 +273,7 @@ def build():
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             points = Points(si.p, dr.select(front, si.sh_frame.n, -si.sh_frame.n), si.wavelengths, lit)
-            if self.transfer == "unshadowed":
+            if self._settings.parts.direct == "unshadowed":
                 white = near.unshadowed(points)
             else:
                 white = near.shadowed(points, hit_transfer(state, self._settings, table, pi, si.shape, points, ~front, sampler))

@@ -10,9 +10,9 @@ from ..errors import check_integer
 from .lobes import MAX_ORDER
 
 
-def check_order(function: str, order) -> int:
-    """Return `order` as int; TypeError/ValueError unless it is an integer in [0, MAX_ORDER]."""
-    return check_integer(function, "order", order, 0, MAX_ORDER,
+def check_order(function: str, order, name: str = "order") -> int:
+    """Return `order`, an argument called `name`, as int; TypeError/ValueError unless it is an integer in [0, MAX_ORDER]."""
+    return check_integer(function, name, order, 0, MAX_ORDER,
                          "It is the highest degree of the spherical harmonics; 2 to 14 is usual, 8 the default.")
 
 

@@ -32,6 +32,7 @@ from shprt_scenes import (
 
 import mi_shlight
 from mi_shlight.errors import StaleTransferWarning, UnsupportedSceneWarning
+from mi_shlight.shading.settings import parse_transfer
 
 # --- pictures -----------------------------------------------------------------------------------------------------------------
 
@@ -234,7 +235,7 @@ def test_transfer_file_beside_the_scene(tmp_path):
 @pytest.mark.parametrize("parameters, text", [
     ({"transfer_file": "nowhere.npz"}, "'transfer_file' must name an existing file, got 'nowhere.npz'.*mi-shlight bake"),
     ({"transfer_file": str(SCENES / "floor.xml")}, "written by Transfer.save.*floor.xml"),
-    ({"transfer_file": str(SCENES / "floor.xml"), "transfer": "unshadowed"}, "'transfer_file' must go with transfer='shadowed'"),
+    ({"transfer_file": str(SCENES / "floor.xml"), "transfer": "unshadowed"}, "'transfer_file' must go with transfer that is baked"),
     ({"transfer_file": str(SCENES / "floor.xml"), "transfer_domain": "pixel"}, "'transfer_file' must go with"),
 ])
 def test_bad_transfer_file(parameters, text):
@@ -394,7 +395,13 @@ def test_no_light_at_render():
     ({"order": 3.5}, "'order' must be an integer from 0 to 64, got 3.5"),
     ({"order": 10_000}, "'order' must be an integer from 0 to 64, got 10000"), ({"order": "8"}, "'order' must be.*got '8'"),
     ({"order": True}, "'order' must be.*got True"), ({"method": "exact"}, "'method' must be one of 'auto', 'recurrence'.*'exact'"),
-    ({"method": 1}, "'method' must"), ({"transfer": "glossy"}, "'transfer' must be one of 'unshadowed', 'shadowed', got 'glossy'"),
+    ({"method": 1}, "'method' must"), ({"transfer": "shiny"}, "'transfer' must be one of 'unshadowed', 'shadowed'.*'shiny'"),
+    ({"transfer": "exact+shadowed"}, "'transfer' must be.*one base"), ({"transfer": "glossy+glossy"}, "'transfer' must be"),
+    ({"transfer": "unshadowed+interreflected"}, "'transfer' must not join"), ({"transfer": 3}, "'transfer' must be text"),
+    ({"transfer": "interreflected", "transfer_domain": "pixel"}, "'transfer_domain' must be vertex with interreflected"),
+    ({"window": "box"}, "'window' must be one of"), ({"bounces": -1}, "'bounces' must"), ({"bounce_samples": 0}, "'bounce_samples' must"),
+    ({"bounce_tolerance": 0.0}, "'bounce_tolerance' must"), ({"bounce_lighting": "x"}, "'bounce_lighting' must be one of"),
+    ({"visibility_order": -1}, "'visibility_order' must"), ({"bsdf_order": 80}, "'bsdf_order' must"), ({"localised": 1}, "'localised' must"),
     ({"transfer_domain": "texel"}, "'transfer_domain' must be one of 'vertex', 'pixel', got 'texel'"),
     ({"transfer_samples": -5}, "'transfer_samples' must be.*got -5"), ({"transfer_samples": 70_000}, "'transfer_samples' must"),
     ({"transfer_samples": 1.5}, "'transfer_samples' must be an integer.*1.5"), ({"transfer_file": 3}, "'transfer_file' must be the path"),
@@ -405,6 +412,14 @@ def test_no_light_at_render():
 def test_bad_parameters(parameters, text):
     with pytest.raises(Exception, match=text):
         integrator(**parameters)
+
+
+@pytest.mark.parametrize("text, expected", [
+    ("unshadowed", ("unshadowed", False, False)), ("glossy", ("shadowed", False, True)), ("interreflected", ("shadowed", True, False)),
+    ("glossy + exact+interreflected", ("exact", True, True)), ("unshadowed+glossy", ("unshadowed", False, True)),
+])
+def test_transfer_is_a_sum_of_parts(text, expected):
+    assert parse_transfer("shprt", text) == expected
 
 
 def test_parameters_can_be_read_back():
