@@ -245,7 +245,7 @@ def build():
                 pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
-                table = self._state.table.attached()
+                table = self._state.table.attached() if self._state.table else None
                 near = NearLights(self._state, table, self._grid_nodes(table, dr.width(ray)), self.order, self.method)
                 reflected = self._reflected(table, near, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
@@ -258,7 +258,7 @@ def build():
         def _grid_nodes(self, table, points: int):
             """What the light grid holds for this picture, or None without a grid."""
             grid = self._state.grid
-            if grid is None:
+            if grid is None or table is None:
                 return None
             if not dr.flag(dr.JitFlag.FreezingScope):
                 grid.prepare(table.facets, points)

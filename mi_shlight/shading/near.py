@@ -29,8 +29,8 @@ class NearLights:
     Parameters
     ----------
     state : SceneState
-    table : LightTable
-        Attached.
+    table : LightTable or None
+        Attached; None if the scene has none of these lights.
     nodes : NodeTable or None
         The light grid for this picture, if there is one.
     order, method : int, str
@@ -39,6 +39,7 @@ class NearLights:
     def __init__(self, state, table, nodes, order: int, method: str):
         self._state, self._table, self._nodes = state, table, nodes
         self._order, self._method = order, method if nodes is None else nodes.method
+        self._spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
 
     def shadowed(self, points: Points, transfer_of):
         """``sum_k L_k sum_lm T_lm L_lm`` over all lights: with transfer of diffuse reflection, what a white surface would send; spectrum.
@@ -60,6 +61,8 @@ class NearLights:
     def exact(self, points: Points):
         """The same without a band limit: Lambert's formula for each facet."""
         table = self._table
+        if table is None:
+            return self._spectrum(0)
 
         def body(k, x, n):
             irradiance = irradiance_shader(n)(table.facets.edges(k, x, points.active), x, table.facets.apex(k, x))
@@ -70,6 +73,8 @@ class NearLights:
     def coefficients(self, points: Points, weigh) -> list:
         """SH coefficients of all lights at the points; `weigh` makes floats of their radiances."""
         state, table, nodes, wavelengths = self._state, self._table, self._nodes, points.wavelengths
+        if table is None:
+            return [mi.Float(0)] * (self._order + 1) ** 2
         if nodes is not None:
             groups = [nodes.eval(mi.Point3f(points.p), mi.UInt32(g), points.active) for g in range(state.group_count)]
             return [sum(weigh(table.spectrum(*colour)) for colour in colours) for colours in zip(*groups)]
@@ -103,7 +108,9 @@ class NearLights:
         All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
         """
         state, table, nodes, lit = self._state, self._table, self._nodes, points.active
-        wavelengths, Spectrum = points.wavelengths, table.spectrum
+        wavelengths, Spectrum = points.wavelengths, self._spectrum
+        if table is None:
+            return Spectrum(0)
         meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
 
         def group_body(g, total, x, n):
@@ -131,7 +138,7 @@ class NearLights:
 
     def _each(self, body, first, last, x, n):
         step = lambda k, total, x, n: (k + 1, total + body(k, x, n), x, n)
-        start = (first, self._table.spectrum(0), x, n)
+        start = (first, self._spectrum(0), x, n)
         return dr.while_loop(start, lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1]
 
     def _unshadowed_shaders(self, n):

@@ -33,17 +33,20 @@ class SceneState:
         bounds = light_groups(len(self.lights))
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
-        self.table = LightTable(self.lights)
-        # bounds of each group among the polygons and the lights of triangles
-        self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
-        self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
-        self.bake_lights = BakeLights(self.lights, 0.0)
-        self.moving = MovingLights(self.lights)
-        self.lookup = self.grid = None
+        self.table = self.bake_lights = self.moving = self.polygons = self.meshes = self.lookup = self.grid = None
+        if self.lights:
+            self.table = LightTable(self.lights)
+            # bounds of each group among the polygons and the lights of triangles
+            self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
+            self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
+            self.bake_lights = BakeLights(self.lights, 0.0)
+            self.moving = MovingLights(self.lights)
 
     def follow(self, seen: Fingerprint) -> bool:
         """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""
-        if self.seen.geometry != seen.geometry or self.seen.light_faces != seen.light_faces or not self.moving.follow():
+        if self.seen.geometry != seen.geometry or self.seen.light_faces != seen.light_faces:
+            return False
+        if self.moving and not self.moving.follow():
             return False
         self.seen = seen
         return True
@@ -63,4 +66,6 @@ def moved(old: list, new: list) -> float:
     """Largest distance any vertex of the lights' outlines has moved; infinite if lights or edges were added or removed."""
     if [len(o) for o in old] != [len(n) for n in new]:
         return float("inf")
+    if not old:
+        return 0.0
     return float(np.linalg.norm(np.concatenate(old) - np.concatenate(new), axis=-1).max())
