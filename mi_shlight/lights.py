@@ -152,9 +152,9 @@ class LightTable:
         Parameters
         ----------
         weigh : function, optional
-            From the radiance as a spectrum to the float to take in its place.
+            From the radiance as a spectrum to the list of floats to take in its place.
         """
-        channels = lambda spectrum: [weigh(spectrum)] if weigh else list(spectrum)
+        channels = weigh or list
         if mi.is_spectral:
             row = lambda face: dr.gather(mi.UInt32, self._row, dr.gather(mi.UInt32, self._mesh_facet, face))
             emitted = lambda face: channels(self._interpolated(row(face), wavelengths))

@@ -83,7 +83,9 @@ class Receiver:
     shape: object
     two_sided: bool
     black: bool
-    """True if the BSDF has no diffuse part: the SH renderer shows the shape black."""
+    """True if the SH renderer shows the shape black, as nothing of the BSDF can be rendered."""
+    diffuse: bool
+    """True if the BSDF has a diffuse reflectance to ask for."""
     light: int
     """Position among the scene's emitting shapes; -1 if it does not emit."""
 
@@ -171,13 +173,14 @@ def keep_quiet(text: str) -> None:
 def polygon_lights(scene, complain=warn) -> list:
     """Polygonal area lights of a scene, in the scene's order.
 
-    Accepts ``shlight`` and ``area`` emitters on meshes (rectangles included). Other emitters are left out; `complain` is called with a
-    sentence about each, and about lights whose faces may hide one another, which is not modelled.
+    Accepts ``shlight`` and ``area`` emitters on meshes (rectangles included). Other emitters of shapes are left out; `complain` is called
+    with a sentence about each, and about lights whose faces may hide one another, which is not modelled. Those that belong to no shape are
+    the concern of :py:class:`mi_shlight.shading.distant.DistantLights`.
 
     Raises
     ------
     ValueError
-        If a light's mesh has no area, or if the scene has no polygonal light at all.
+        If a light's mesh has no area.
     """
     shapes = []
     for shape in scene.shapes():
@@ -201,30 +204,32 @@ def polygon_lights(scene, complain=warn) -> list:
             # without a figure: Python shows equal texts once while an optimiser moves vertices
             complain(f"light '{light.name}': its faces hide one another from some points (it is not convex, or it has two sides), which is "
                      "not modelled: such points get too much light. Use convex meshes that emit outwards.")
-    for emitter in scene.emitters():
-        if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-            complain(f"emitter '{emitter.id()}' ({emitter.class_name()}): only polygonal area lights can be projected. It does not light "
-                     "surfaces in this picture; remove it, or render with Mitsuba's 'path'.")
-    if not lights:
-        raise ValueError("shprt: 'scene' must have at least one polygonal area light, got none. Put <emitter type=\"shlight\"> or "
-                         "<emitter type=\"area\"> inside a rectangle or a mesh.")
     return lights
 
 
-def receivers(scene, complain=warn) -> list:
+def refuse_darkness() -> None:
+    """Raise ValueError: the scene has no light."""
+    raise ValueError("shprt: 'scene' must have a light, got none. Put <emitter type=\"shlight\"> or <emitter type=\"area\"> inside a "
+                     "rectangle or a mesh, or add an emitter such as 'constant', 'envmap', 'directional', 'point' or 'spot'.")
+
+
+def receivers(scene, complain=warn, glossy: bool = False) -> list:
     """All shapes of the scene that can be lit; `complain` is called with a sentence about each BSDF that is not plainly
-    diffuse.
+    diffuse, or, if gloss is rendered (`glossy`), not plainly a surface that reflects.
     """
     found, seen, emitting = [], set(), 0
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         two_sided, black, complaint = _diffuse_support(bsdf)
+        diffuse = not black
+        if glossy:
+            two_sided, black, complaint = _glossy_support(bsdf)
         if complaint and (complaint, bsdf.id()) not in seen:
             seen.add((complaint, bsdf.id()))
             complain(f"BSDF '{bsdf.id()}' of shape '{shape_name(shape)}' ({bsdf.class_name()}): {complaint}")
         if shape.is_emitter():                        # Mitsuba gives lights without a <bsdf> a black one
-            black = black or _reflects_nothing(bsdf)
-        found.append(Receiver(shape_name(shape), shape, two_sided, black, emitting if shape.is_emitter() else -1))
+            black = black or diffuse and _reflects_nothing(bsdf)
+        found.append(Receiver(shape_name(shape), shape, two_sided, black, diffuse, emitting if shape.is_emitter() else -1))
         emitting += shape.is_emitter()
     return found
 
@@ -319,6 +324,26 @@ def _diffuse_support(bsdf) -> tuple:
         return two_sided, False, "only its diffuse reflection is rendered, the specular part is left out."
     if kind not in ("SmoothDiffuse", "TwoSidedBRDF", "BlendBSDF"):
         return two_sided, False, "rendered with its diffuse reflectance; perturbed normals are left out."
+    return two_sided, False, None
+
+
+def _glossy_support(bsdf) -> tuple:
+    """(two-sided, black, complaint): how much of a BSDF is rendered with its gloss."""
+    any_of = lambda flags, *wanted: any(mi.has_flag(flags, w) for w in wanted)
+    Flags, flags = mi.BSDFFlags, bsdf.flags()
+    reflecting = [lobe for lobe in map(bsdf.flags, range(bsdf.component_count()))
+                  if any_of(lobe, Flags.DiffuseReflection, Flags.GlossyReflection)]
+    two_sided = any(mi.has_flag(lobe, Flags.BackSide) for lobe in reflecting)
+    if any_of(flags, Flags.Null):
+        return False, True, "opacity is not modelled; it is rendered black."
+    if not reflecting:
+        return False, True, "it reflects like a mirror, or not at all, and is rendered black."
+    if any_of(flags, Flags.DiffuseTransmission, Flags.GlossyTransmission, Flags.DeltaTransmission):
+        return two_sided, False, "light that it transmits is left out."
+    if any_of(flags, Flags.Delta):
+        return two_sided, False, "its mirror reflection is left out."
+    if any_of(flags, Flags.GlossyReflection) and any_of(flags, Flags.SpatiallyVarying):
+        return two_sided, False, "its gloss is rendered with the mean of its textures, perturbed normals are left out."
     return two_sided, False, None
 
 

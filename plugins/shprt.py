@@ -18,8 +18,11 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - transfer
    - |string|
-   - ``unshadowed``: lights shine through everything; analytic, no bake, cheap at any order.
-     ``shadowed``: soft shadows. (Default: ``shadowed``)
+   - How light reaches the surfaces that are seen. ``unshadowed``: lights shine through everything; analytic, no bake, cheap at any order.
+     ``shadowed``: soft shadows. ``exact``: soft shadows, where what is not blocked carries no band limit: Lambert's formula at each hit,
+     less the light that is blocked. Additions, joined by ``+``: ``interreflected``, light from diffuse surface to diffuse surface, and
+     ``glossy``, all that BSDFs reflect besides. For instance ``exact+interreflected+glossy``. An addition alone goes with ``shadowed``.
+     (Default: ``shadowed``)
 
  * - transfer_domain
    - |string|
@@ -46,6 +49,39 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
    - |float|
    - Distance in scene units by which a light's vertices may move before the transfer is baked again. Optimisations of a light's
      place run faster with a margin of several steps. Of no effect with ``pixel``. (Default: 0)
+
+ * - localised
+   - |bool|
+   - Fit the transfer of light from polygonal lights to the directions from which it can come, those of the lights grown by
+     ``light_margin``, instead of projecting it over the whole sphere: the same number of coefficients then holds much sharper shadows.
+     (Default: true)
+
+ * - window
+   - |string|
+   - Factors on the bands of transfer that is projected over the whole sphere (that of distant lights, and all with ``localised`` false),
+     which trade ringing for blur: ``none``, ``hann``, ``lanczos``, ``gauss``. (Default: ``none``)
+
+ * - bounces
+   - |int|
+   - Number of reflections between surfaces before the one that is seen, with ``interreflected``. 0: until ``bounce_tolerance`` is met, 64
+     at most. (Default: 0)
+
+ * - bounce_tolerance
+   - |float|
+   - Reflections are added until the next adds less than this share of what all have. (Default: 0.001)
+
+ * - bounce_samples
+   - |int|
+   - Rays per baked point that look for light from other surfaces. (Default: 256)
+
+ * - bounce_lighting
+   - |string|
+   - ``gather``: the lights light all baked points, from where it is gathered. ``transfer``: as if each light looked the same from the
+     points where light is reflected as from where it is seen, exact for distant lights only (Green 2003). (Default: ``gather``)
+
+ * - visibility_order, bsdf_order
+   - |int|
+   - Highest degrees of visibility and of BSDFs with ``glossy``. (Default: 4 and 8)
 
  * - grid_resolution
    - |int| or |string|
@@ -148,9 +184,11 @@ import mitsuba as mi
 from ..errors import StaleTransferWarning, message
 from ..light.project import default_error
 from ..light.quadrature import node_tables
-from ..scene import Fingerprint
+from ..scene import Fingerprint, refuse, warn
+from ..shading.bounce import Bounces
 from ..shading.hits import hit_transfer
-from ..shading.near import NearLights, Points, luminance
+from ..shading.lighting import Lighting
+from ..shading.near import Points, luminance
 from ..shading.settings import DEFAULT_SAMPLES, Settings, read_settings
 from ..shading.state import SceneState, moved
 from ..transfer.bake import trace_transfer
@@ -207,9 +245,9 @@ def build():
             same_geometry = old is not None and old.lookup is not None and old.seen.geometry == seen.geometry
             if changed and not (old and old.follow(seen)):
                 check_attached(scene)
-                self._state = SceneState(scene, self.strict, seen)
-                if self.grid_resolution:
-                    self._state.make_grid(self.grid_resolution, self.grid_interpolation, self.grid_error, self.order, self.method)
+                self._state = SceneState(scene, self._settings, seen)
+            if self._state.gloss:
+                self._state.gloss.prepare()
             if self._settings.parts.direct == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             if changed or self._state.lookup is None:
@@ -217,6 +255,9 @@ def build():
                 transfer = self._current_transfer(scene, same_geometry, progress)
                 keep = same_geometry and transfer is self._transfer
                 self._state.lookup = lookup if keep else transfer.look_up(scene)
+                if self._settings.parts.interreflected:
+                    bounces = old and keep and old.bounces
+                    self._state.bounces = bounces or Bounces(scene, transfer, self._state, self._settings, refuse if self.strict else warn)
                 self._transfer = transfer
             return self._transfer
 
@@ -246,13 +287,14 @@ def build():
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
                 table = self._state.table.attached() if self._state.table else None
-                near = NearLights(self._state, table, self._grid_nodes(table, dr.width(ray)), self.order, self.method)
-                reflected = self._reflected(table, near, pi, si, sampler, valid)
+                nodes = self._grid_nodes(table, dr.width(ray))
+                lighting_at = lambda wavelengths: Lighting(self._state, self._settings, table, nodes, wavelengths)
+                reflected = self._reflected(lighting_at, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
                 aovs = []
                 if self.coefficients:
-                    weigh = lambda radiance: luminance(radiance, si.wavelengths)
-                    aovs = near.coefficients(Points(si.p, si.n, si.wavelengths, valid), weigh)
+                    weigh = lambda radiance: [luminance(radiance, si.wavelengths)]
+                    aovs = lighting_at(si.wavelengths).coefficients(Points(si.p, si.n, si.wavelengths, valid), weigh)[0]
                 return mi.depolarizer(reflected) + emitted, valid, aovs, None
 
         def _grid_nodes(self, table, points: int):
@@ -267,17 +309,28 @@ def build():
                                    "Call mi.render(scene, integrator=integrator) first, and again whenever lights have moved far.")
             return grid.nodes(table.facets)
 
-        def _reflected(self, table, near, pi, si, sampler, valid):
-            """Light scattered towards the camera; unpolarised spectrum."""
-            state = self._state
+        def _reflected(self, lighting_at, pi, si, sampler, valid):
+            """Light scattered towards the camera; unpolarised spectrum.
+
+            `lighting_at(wavelengths)`: the `Lighting` for rays of these wavelengths.
+            """
+            state, parts = self._state, self._settings.parts
             front = mi.Frame3f.cos_theta(si.wi) > 0
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             points = Points(si.p, dr.select(front, si.sh_frame.n, -si.sh_frame.n), si.wavelengths, lit)
-            if self._settings.parts.direct == "unshadowed":
-                white = near.unshadowed(points)
-            else:
-                white = near.shadowed(points, hit_transfer(state, self._settings, table, pi, si.shape, points, ~front, sampler))
-            return mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * white & lit
+            lighting, transfer_of = lighting_at(si.wavelengths), None
+            if parts.direct != "unshadowed":
+                transfer_of = hit_transfer(state, self._settings, lighting.table, pi, si.shape, points, ~front, sampler)
+            white = lighting.white(points, transfer_of)
+            if parts.interreflected:
+                white = white + state.bounces.picture(lighting_at).white(lighting, points, pi, si.shape, ~front, sampler)
+            reflectance = mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit))
+            gloss = state.gloss
+            if not (gloss and gloss.present):
+                return reflectance * white & lit
+            value = reflectance * white * gloss.share(si.shape, ~front, lit) & lit
+            light = lighting.coefficients(points)
+            return value + gloss.reflected(gloss.attached(), si.shape, points, si.to_world(si.wi), ~front, light)
 
     for name in (field.name for field in fields(Settings)):         # read-only: a bake and its tables depend on them
         setattr(SHPRT, name, property(lambda self, name=name: getattr(self._settings, name)))

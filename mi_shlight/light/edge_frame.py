@@ -54,7 +54,8 @@ from typing import NamedTuple
 import drjit as dr
 import numpy as np
 
-from ..sh.lobes import fibonacci_hemisphere, sh_matrix
+from ..sh.lobes import sh_matrix
+from ..sh.rotation import add_product, apply_rows, euler_angles, flat_indices, multiples, quarter_turn, rotate_z
 from .polygon import EdgeFrame, edge_frame, fan_solid_angle, inverse_length, over_cosine, zeros
 
 BODY_SIZE = 5000
@@ -72,7 +73,7 @@ class Constants(NamedTuple):
     level: tuple
     """``N_lm P_l^|m|(0)`` by flat index; 0 for l + m odd."""
     x90: tuple
-    """X, by rows: for each flat index the pairs (column, value) of its non-zero entries."""
+    """Rows of X; see :py:class:`~mi_shlight.sh.rotation.QuarterTurn`."""
     x90_transposed: tuple
 
 
@@ -91,17 +92,7 @@ def constants(order: int) -> Constants:
     for l in range(order + 1):
         for m in range(l % 2, l + 1, 2):
             level[l * (l + 1) + m] = level[l * (l + 1) - m] = float(equator[l * (l + 1) + m])
-    half = fibonacci_hemisphere(3 * (2 * order + 1))
-    directions = np.concatenate([half, -half])
-    before, after = sh_matrix(directions, order), sh_matrix(directions[:, [0, 2, 1]] * [1, -1, 1], order)
-    rows, columns = [[] for _ in range(count)], [[] for _ in range(count)]
-    for l in range(order + 1):
-        band = slice(l * l, (l + 1) ** 2)
-        x90 = np.linalg.lstsq(before[:, band], after[:, band], rcond=None)[0].T
-        for i, j in zip(*np.nonzero(abs(x90) > 1e-9)):
-            rows[l * l + i].append((l * l + j, float(x90[i, j])))
-            columns[l * l + j].append((l * l + i, float(x90[i, j])))
-    return Constants(tuple(slope), tuple(level), tuple(map(tuple, rows)), tuple(map(tuple, columns)))
+    return Constants(tuple(slope), tuple(level), *quarter_turn(order))
 
 
 @functools.lru_cache(maxsize=None)
@@ -134,7 +125,7 @@ def project_edge(light, x, apex, order: int, active=True) -> list:
     """Coefficients ``L_lm`` of `light` seen from `x`: list of ``(order + 1)**2`` floats; 0 where not `active`."""
     coeffs = []
     for bands in _bodies(order):
-        coeffs += light.sum(_differentiable(_values(order, bands), _tangent(order, bands)), x, apex, len(_flat(bands)), active)
+        coeffs += light.sum(_differentiable(_values(order, bands), _tangent(order, bands)), x, apex, len(flat_indices(bands)), active)
     return coeffs
 
 
@@ -145,7 +136,7 @@ def project_edge_spatial(light, x, apex, order: int, active=True) -> tuple:
     """
     coeffs, gradient = [], ([], [], [])
     for bands in _bodies(order, 2):
-        values, lines, width = _values(order, bands), _lines(order, bands), len(_flat(bands))
+        values, lines, width = _values(order, bands), _lines(order, bands), len(flat_indices(bands))
 
         def term(v_i, v_j, apex, values=values, lines=lines):
             frame = edge_frame(v_i, v_j)
@@ -168,7 +159,7 @@ def project_edge_lines(light, x, apex, order: int) -> tuple:
     """
     coeffs, rows = [], []
     for bands in _bodies(order, 3):
-        values, lines, width = _values(order, bands), _lines(order, bands), len(_flat(bands))
+        values, lines, width = _values(order, bands), _lines(order, bands), len(flat_indices(bands))
 
         def term(v_i, v_j, apex, values=values, lines=lines):
             frame = edge_frame(v_i, v_j)
@@ -244,7 +235,7 @@ def _values(order: int, bands: range):
         values = _to_world(table, local, alpha, beta, bands)
         if bands[0] == 0:
             values[0] = fan_solid_angle(apex, frame) * MONOPOLE
-        return [values[i] for i in _flat(bands)]
+        return [values[i] for i in flat_indices(bands)]
 
     return term
 
@@ -258,7 +249,7 @@ def _lines(order: int, bands: range):
     def lines(frame, over_cos, factors):
         angles, sines = _angles(frame, bands[-1])
         values = _along(table, *_line_integrals(frame, sines, over_cos * factors[0], -factors[1], bands[-1]), angles, bands)
-        return [values[i] for i in _flat(bands)]
+        return [values[i] for i in flat_indices(bands)]
 
     return lines
 
@@ -270,9 +261,9 @@ def _along(table: Constants, even: list, odd: list, angles: list, bands: range) 
     alpha, beta, (cosines, sines) = angles
     local = [None] * len(table.level)
     for l, m, i, j in _even(bands):
-        local[i] = _add(_add(None, odd[m], -sines[m]), even[m], cosines[m]) * table.level[i]
+        local[i] = add_product(add_product(None, odd[m], -sines[m]), even[m], cosines[m]) * table.level[i]
         if m:
-            local[j] = _add(_add(None, odd[m], cosines[m]), even[m], sines[m]) * table.level[i]
+            local[j] = add_product(add_product(None, odd[m], cosines[m]), even[m], sines[m]) * table.level[i]
     return _to_world(table, local, alpha, beta, bands)
 
 
@@ -328,13 +319,13 @@ def _spatial_tangent(order: int, bands: range):
         across = [dr.dot(frame.normal, shift) for shift in (even_shift, odd_shift)]
         turn = [dr.cross(side, shift) for shift in (even_shift, odd_shift)]
         mixed = lambda i, p, q: dr.fma(by_even[i], p, by_odd[i] * q)
-        slopes = [-mixed(i, *across) for i in _flat(bands)]
+        slopes = [-mixed(i, *across) for i in flat_indices(bands)]
         if bands[0] == 0:
             slopes[0] = dr.select(dr.squared_norm(apex) > 0, slopes[0], 0)
         swept = [None if p is None else dr.fma(p, across[0], q * across[1]) for p, q in zip(over_even, over_odd)]
         for k in range(3):
-            rest = _product(rows[k], swept, bands)
-            slopes += [mixed(i, turn[0][k], turn[1][k]) + rest[i] for i in _flat(bands)]
+            rest = apply_rows(rows[k], swept, bands)
+            slopes += [mixed(i, turn[0][k], turn[1][k]) + rest[i] for i in flat_indices(bands)]
         return slopes
 
     return tangent
@@ -356,10 +347,10 @@ def _shading(transfer: list, order: int, bands: range, value=True, gradients=Tru
         frame = edge_frame(v_i, v_j)
         (alpha, beta, phi), sines = _angles(frame, bands[-1])
         back = lambda angle: (angle[0], [-s for s in angle[1]])
-        values = _rotate_z(transfer, *back(alpha), bands)
-        values = _product(table.x90, values, bands)
-        values = _rotate_z(values, *back(beta), bands, met)
-        values = _product(table.x90_transposed, values, bands, wanted)
+        values = rotate_z(transfer, *back(alpha), bands)
+        values = apply_rows(table.x90, values, bands)
+        values = rotate_z(values, *back(beta), bands, met)
+        values = apply_rows(table.x90_transposed, values, bands, wanted)
         out = []
         if value:
             total = transfer[0] * fan_solid_angle(apex, frame) * MONOPOLE if bands[0] == 0 else 0
@@ -389,9 +380,9 @@ def _waves(values: list, factors: tuple, entries, order: int) -> tuple:
     """Cosine and sine waves along the equator, by m, of the `entries` of a vector; None where zero by symmetry."""
     cosine, sine = [None] * (order + 1), [None] * (order + 1)
     for _, m, i, j in entries:
-        cosine[m] = _add(cosine[m], values[i], factors[i])
+        cosine[m] = add_product(cosine[m], values[i], factors[i])
         if m:
-            sine[m] = _add(sine[m], values[j], factors[j])
+            sine[m] = add_product(sine[m], values[j], factors[j])
     return cosine, sine
 
 
@@ -422,10 +413,10 @@ def _line_integrals(frame: EdgeFrame, sines: list, along, across, order: int) ->
 
 def _to_world(table: Constants, local: list, alpha: tuple, beta: tuple, bands: range) -> list:
     """Some bands of a vector in the edge's frame, rotated to the world."""
-    values = _product(table.x90, local, bands)
-    values = _rotate_z(values, *beta, bands)
-    values = _product(table.x90_transposed, values, bands)
-    return _rotate_z(values, *alpha, bands)
+    values = apply_rows(table.x90, local, bands)
+    values = rotate_z(values, *beta, bands)
+    values = apply_rows(table.x90_transposed, values, bands)
+    return rotate_z(values, *alpha, bands)
 
 
 def _bodies(order: int, rotations: int = 1) -> list:
@@ -440,40 +431,15 @@ def _bodies(order: int, rotations: int = 1) -> list:
     return [*bodies, range(first, order + 1)]
 
 
-def _flat(bands: range) -> range:
-    """Flat indices of whole bands."""
-    return range(bands[0] ** 2, (bands[-1] + 1) ** 2)
-
-
 def _angles(frame: EdgeFrame, order: int) -> tuple:
     """((alpha, beta, phi), sines): multiples of the three angles as (cosines, sines), and ``sin(m h)`` for m = 0 .. order + 1."""
-    n = frame.normal
-    squared = n[0] * n[0] + n[1] * n[1]
-    tilted = squared > 1e-30                          # else n is the z axis, and any alpha will do
-    rho = dr.sqrt(dr.select(tilted, squared, 1))
-    inverse = 1 / rho
-    rho = dr.select(tilted, rho, 0)
-    cos_alpha, sin_alpha = dr.select(tilted, n[0] * inverse, 1), dr.select(tilted, n[1] * inverse, 0)
-    middle = frame.middle
-    cos_phi = dr.fma(cos_alpha, middle[0], sin_alpha * middle[1]) * n[2] - rho * middle[2]
-    sin_phi = dr.fma(cos_alpha, middle[1], -(sin_alpha * middle[0]))
-    angles = ((cos_alpha, sin_alpha), (n[2], rho), (cos_phi, sin_phi))
-    return [_multiples(c, s, order) for c, s in angles], _multiples(frame.cos_half, frame.sin_half, order + 1)[1]
+    angles = euler_angles(frame.normal, frame.middle)
+    return [multiples(c, s, order) for c, s in angles], multiples(frame.cos_half, frame.sin_half, order + 1)[1]
 
 
 def _lengths(frame: EdgeFrame, sines: list, order: int) -> list:
     """``sin(m h) / m`` for m = 0 .. order."""
     return [frame.arc * 0.5] + [sines[m] * (1 / m) for m in range(1, order + 1)]
-
-
-def _multiples(cos, sin, order: int) -> tuple:
-    """Cosines and sines of 0, 1, .., `order` times an angle."""
-    cosines, sines = [type(cos)(1)], [type(cos)(0)]
-    for _ in range(order):
-        c, s = cosines[-1], sines[-1]
-        cosines.append(dr.fma(c, cos, -(s * sin)))
-        sines.append(dr.fma(s, cos, c * sin))
-    return cosines, sines
 
 
 def _odd(bands: range):
@@ -488,32 +454,3 @@ def _even(bands: range):
     for l in bands:
         for m in range(l % 2, l + 1, 2):
             yield l, m, l * (l + 1) + m, l * (l + 1) - m
-
-
-def _add(total, value, factor):
-    """``total + value * factor`` where None is zero."""
-    if value is None:
-        return total
-    return value * factor if total is None else dr.fma(value, factor, total)
-
-
-def _product(matrix: tuple, vector: list, bands: range, wanted=None) -> list:
-    """Some bands of a sparse matrix times a vector; only the `wanted` entries."""
-    out = [None] * len(matrix)
-    for i in _flat(bands):
-        if wanted is None or wanted[i]:
-            for j, value in matrix[i]:
-                out[i] = _add(out[i], vector[j], value)
-    return out
-
-
-def _rotate_z(vector: list, cosines: list, sines: list, bands: range, wanted=None) -> list:
-    """Rotation about z: (p, q) of (m, -m) becomes (p cos - q sin, p sin + q cos) of m times the angle; only the `wanted` entries."""
-    out = list(vector)
-    for l in bands:
-        for m in range(1, l + 1):
-            i, j = l * (l + 1) + m, l * (l + 1) - m
-            p, q = vector[i], vector[j]
-            out[i] = _add(_add(None, p, cosines[m]), q, -sines[m]) if wanted is None or wanted[i] else None
-            out[j] = _add(_add(None, p, sines[m]), q, cosines[m]) if wanted is None or wanted[j] else None
-    return out

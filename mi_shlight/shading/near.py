@@ -70,36 +70,47 @@ class NearLights:
 
         return self._each(body, mi.UInt32(0), mi.UInt32(table.count), mi.Point3f(points.p), mi.Normal3f(points.n))
 
-    def coefficients(self, points: Points, weigh) -> list:
-        """SH coefficients of all lights at the points; `weigh` makes floats of their radiances."""
-        state, table, nodes, wavelengths = self._state, self._table, self._nodes, points.wavelengths
+    def coefficients(self, points: Points, weigh=list, shadow_of=None) -> list:
+        """SH coefficients of all lights at the points, for each of the floats that `weigh` makes of a radiance.
+
+        `shadow_of(g, first, last)`: for a light group, lights `first` to `last` - 1, a function that takes and gives such lists of
+        coefficients: what of the group's light arrives. It carries no derivatives.
+        """
+        state, table, nodes, lit, wavelengths = self._state, self._table, self._nodes, points.active, points.wavelengths
+        count, channels = (self._order + 1) ** 2, len(weigh(self._spectrum(0)))
         if table is None:
-            return [mi.Float(0)] * (self._order + 1) ** 2
-        if nodes is not None:
-            groups = [nodes.eval(mi.Point3f(points.p), mi.UInt32(g), points.active) for g in range(state.group_count)]
-            return [sum(weigh(table.spectrum(*colour)) for colour in colours) for colours in zip(*groups)]
+            return [[mi.Float(0)] * count] * channels
+        meshes = table.mesh_light(wavelengths, weigh) if len(table.meshes) and nodes is None else None
+        nothing = lambda: [[mi.Float(0) for _ in range(count)] for _ in range(channels)]
 
-        def each(body, count):
-            def step(k, total, x):
-                weight, coeffs = body(k, x)
-                return k + 1, [dr.fma(weight, c, t) for c, t in zip(coeffs, total)], x
+        def each(body, total, first, last, x):
+            step = lambda k, total, x: (k + 1, body(k, total, x), x)
+            return _added(total, dr.while_loop((first, nothing(), x), lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1])
 
-            start = (mi.UInt32(0), [mi.Float(0) for _ in range((self._order + 1) ** 2)], mi.Point3f(points.p))
-            return dr.while_loop(start, lambda k, *_: k < count, step, mode="symbolic", max_iterations=-1)[1]
-
-        def polygon(i, x):
+        def polygon(i, total, x):
             k = table.polygon(i)
-            coeffs = project_light(table.facets.edges(k, x, points.active), x, table.facets.apex(k, x), self._order, self._method)
-            return weigh(table.radiance(k, wavelengths)), coeffs
+            coeffs = project_light(table.facets.edges(k, x, lit), x, table.facets.apex(k, x), self._order, self._method)
+            return [[dr.fma(r, c, t) for c, t in zip(coeffs, part)] for r, part in zip(weigh(table.radiance(k, wavelengths)), total)]
 
-        sums = []
-        if len(table.polygons):
-            sums.append(each(polygon, len(table.polygons)))
-        if len(table.meshes):
-            meshes = table.mesh_light(wavelengths, weigh)
-            mesh = lambda k, x: (1, project_mesh_light(meshes.part(k), x, self._order, self._method))
-            sums.append(each(mesh, len(table.meshes)))
-        return [sum(values) for values in zip(*sums)]
+        def mesh(k, total, x):
+            coeffs = project_mesh_light(meshes.part(k), x, self._order, self._method)
+            return _added(total, [coeffs] if channels == 1 else [[c[i] for c in coeffs] for i in range(channels)])
+
+        def group_body(g, total, x):
+            bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
+            light = nothing()
+            if nodes is not None:
+                light = [list(values) for values in zip(*(weigh(table.spectrum(*colour)) for colour in nodes.eval(x, g, lit)))]
+            elif len(table.polygons):
+                light = each(polygon, light, *bounds(state.polygons), x)
+            if meshes:
+                light = each(mesh, light, *bounds(state.meshes), x)
+            if shadow_of:
+                light = shadow_of(g, *bounds(state.groups))(light)
+            return g + 1, _added(total, light), x
+
+        start = mi.UInt32(0), nothing(), mi.Point3f(points.p)
+        return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
     def _sum(self, points: Points, shading_of):
         """Sum over all lights. `shading_of(g, first, last)`: for a light group the transfer as a function of the normal, and the shaders,
@@ -163,6 +174,10 @@ class NearLights:
             return value + dr.replace_grad(type(value)(0), turned)
 
         return shade, shade_mesh
+
+
+def _added(lists: list, others: list) -> list:
+    return [[a + b for a, b in zip(*pair)] for pair in zip(lists, others)]
 
 
 def luminance(radiance, wavelengths):

@@ -39,7 +39,8 @@ def parse_transfer(function: str, text) -> Parts:
     names = [name.strip() for name in text.split("+")]
     known = (*DIRECT, "interreflected", "glossy")
     if any(name not in known for name in names) or len(set(names)) < len(names) or sum(name in DIRECT for name in names) > 1:
-        raise ValueError(message(function, "transfer", f"be one of {', '.join(map(repr, known))}, or a sum with one base at most", text, hint))
+        rule = f"be one of {', '.join(map(repr, known))}, or a sum with one base at most"
+        raise ValueError(message(function, "transfer", rule, text, hint))
     parts = Parts(next((name for name in names if name in DIRECT), "shadowed"), "interreflected" in names, "glossy" in names)
     if parts.interreflected and parts.direct == "unshadowed":
         raise ValueError(message(function, "transfer", "not join unshadowed and interreflected", text,

@@ -7,22 +7,27 @@ import numpy as np
 
 from ..lights import LightTable
 from ..moving import MovingLights
-from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
+from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, refuse_darkness, shape_index, warn
 from ..scene_grid import SceneGrid
 from ..transfer.visibility import BakeLights, Occluders, light_groups
+from .distant import DistantLights
+from .glossy import Gloss
 
 
 class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
     DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "polygons", "meshes", "occluders", "table", "bake_lights", "lookup",
-                                  "grid"), object)
+                                  "grid", "distant", "bounces", "gloss"), object)
 
-    def __init__(self, scene, strict: bool, seen: Fingerprint):
+    def __init__(self, scene, settings, seen: Fingerprint):
         self.seen = seen
-        complain = refuse if strict else warn
+        complain = refuse if settings.strict else warn
         self.lights = polygon_lights(scene, complain)
-        self.receivers = receivers(scene, complain)
+        self.distant = DistantLights(scene, settings.order, complain)
+        if not (self.lights or self.distant.projected or self.distant.delta_count):
+            refuse_darkness()
+        self.receivers = receivers(scene, complain, settings.parts.glossy)
         size = 1 + max((shape_index(r.shape) for r in self.receivers), default=0)
         table = np.zeros((2, size), int)
         for r in self.receivers:
@@ -30,10 +35,11 @@ class SceneState:
         self.size = size
         self.two_sided, self.black = (mi.UInt32(row.tolist()) for row in table)
         self.all_baked = all(r.baked or r.black for r in self.receivers)
+        self.gloss = Gloss(self.receivers, settings.bsdf_order, settings.window, complain) if settings.parts.glossy else None
         bounds = light_groups(len(self.lights))
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
-        self.table = self.bake_lights = self.moving = self.polygons = self.meshes = self.lookup = self.grid = None
+        self.table = self.bake_lights = self.moving = self.polygons = self.meshes = self.lookup = self.grid = self.bounces = None
         if self.lights:
             self.table = LightTable(self.lights)
             # bounds of each group among the polygons and the lights of triangles
@@ -41,6 +47,9 @@ class SceneState:
             self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
             self.bake_lights = BakeLights(self.lights, 0.0)
             self.moving = MovingLights(self.lights)
+            if settings.grid_resolution:
+                self.grid = SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution, settings.grid_interpolation,
+                                      settings.grid_error, settings.order, settings.method)
 
     def follow(self, seen: Fingerprint) -> bool:
         """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""
@@ -50,11 +59,6 @@ class SceneState:
             return False
         self.seen = seen
         return True
-
-    def make_grid(self, resolution, interpolation: str, max_error: float, order: int, method: str) -> None:
-        """Set up the light grid."""
-        facets = self.table.first_facet[light_groups(len(self.lights))]
-        self.grid = SceneGrid(self.receivers, facets, resolution, interpolation, max_error, order, method)
 
     def flag(self, table, shape, active):
         """Entry of a per-shape table at a hit, as a mask."""

@@ -1,0 +1,195 @@
+"""The sky models of the CIE's standard daylight: overcast, clear, partly cloudy.
+
+Luminance relative to that of the zenith, theta the angle from the zenith, gamma the angle from the sun, S that between sun and zenith:
+
+    overcast        (1 + 2 cos theta) / 3                                                       (Moon and Spencer 1942, CIE 1955)
+    clear           f(gamma) g(theta) / (f(S) g(0)) ,   f(x) = 0.91 + 10 exp(-3 x) + 0.45 cos^2 x ,   g(x) = 1 - exp(-0.32 / cos x)
+                                                                                                (Kittler 1967, CIE 1973)
+    partly_cloudy   f(gamma) g(theta) / (f(S) g(0)) ,   f(x) = 0.526 + 5 exp(-1.5 x) ,                g(x) = 1 - exp(-0.80 / cos x)
+                                                                                                (Matsuura 1987)
+
+[G03] ("Creating Light Sources") prints them with two slips. Of the overcast sky it calls beta, of which it takes the sine, the angle from
+the zenith; it is the one above the horizon: the zenith is three times as bright as the horizon. And of the partly cloudy sky it prints
+cos(gamma) in g(theta), with which the zenith would not have the luminance of the zenith.
+
+Nothing comes from below the horizon. The sun itself is no part of the sky: add it as a ``directional`` light, or as a cap.
+"""
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import numpy as np
+
+from ..arrays import vectors3
+from ..errors import check_choice, check_number, message
+from ..light.arguments import not_literal
+from ..light.polygon import direction as unit
+from ..sh.basis import check_order, sh_basis
+from ..sh.rotation import rotate_frame
+from .cap import tangents
+from .nodes import leggauss, sum_over_nodes
+
+SKIES = ("overcast", "clear", "partly_cloudy")
+
+_GLOW = {"clear": (0.91, 10.0, 3.0, 0.45), "partly_cloudy": (0.526, 5.0, 1.5, 0.0)}
+"""Of f(x): the constant, factor and decay of the exponential, factor of the squared cosine."""
+
+_HAZE = {"clear": 0.32, "partly_cloudy": 0.80}
+"""Of g(x)."""
+
+
+def cie_sky(direction, kind: str, sun=None, zenith=(0.0, 1.0, 0.0), zenith_luminance=1.0):
+    """Luminance of a CIE standard sky in a direction.
+
+    Parameters
+    ----------
+    direction : 3-vector
+        Where to look; need not be normalised.
+    kind : str
+        ``"overcast"``, ``"clear"`` or ``"partly_cloudy"``.
+    sun : 3-vector, optional
+        Towards the sun, above or below the horizon; not for ``overcast``, which has none, and needed by the others.
+    zenith : 3-vector
+        Up. Default: y, as Mitsuba's ``envmap`` and the scenes of this package have it.
+    zenith_luminance : float
+        Luminance of the zenith, in whatever unit the result is to have: a number >= 0 or a Dr.Jit float.
+
+    Returns
+    -------
+    float
+        Its type follows the vectors; 0 below the horizon.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument has the wrong type or value, or `sun` is missing or too much.
+
+    Notes
+    -----
+    The formulas are at the head of :py:mod:`mi_shlight.environment.sky`, with two slips of [G03] put right. Differentiable; not at the
+    point of the sun, where the sky has a cusp, nor across the horizon.
+    """
+    name = "cie_sky"
+    zenith_luminance = _luminance(name, zenith_luminance)
+    direction, zenith, sun = _sky_arguments(name, kind, sun, direction=direction, zenith=zenith)
+    direction = unit(direction)
+    toward = None if sun is None else (_angle(direction, sun), _angle(zenith, sun))
+    return zenith_luminance * _relative(kind, dr.dot(direction, zenith), toward)
+
+
+def project_sky(kind: str, order: int, sun=None, zenith=(0.0, 1.0, 0.0), zenith_luminance=1.0) -> list:
+    """SH coefficients of a CIE standard sky, :py:func:`cie_sky`.
+
+    Gauss-Legendre's rule over the angles from the zenith and about it, in panels that meet at the sun and at the horizon, where the sky is
+    not smooth.
+
+    Parameters
+    ----------
+    kind, sun, zenith, zenith_luminance
+        As in :py:func:`cie_sky`; the vectors and the luminance may hold many values, one sky each.
+    order : int
+        Highest degree, 0 to 64.
+
+    Returns
+    -------
+    list of (order + 1)**2 floats, in `zenith_luminance` times steradian, index ``l (l + 1) + m``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :py:func:`cie_sky`.
+
+    Notes
+    -----
+    Error below 1e-6 of the zenith's luminance in float64, 2e-6 in float32. Differentiable by sun, zenith and luminance.
+    """
+    name = "project_sky"
+    n = check_order(name, order)
+    zenith_luminance = _luminance(name, zenith_luminance)
+    zenith, sun = _sky_arguments(name, kind, sun, zenith=zenith)
+    number, array = type(zenith[0]), type(zenith)
+    level = zenith if sun is None else sun - zenith * dr.dot(sun, zenith)
+    length = dr.norm(level)
+    aside = tangents(zenith)[0]
+    east = dr.select((length > 1e-6) & (sun is not None), level / dr.select(length > 1e-6, length, 1), aside)
+    east = array(*(number(c) for c in east))
+    apart = number(0) if sun is None else _angle(zenith, sun)
+
+    nodes, weights = leggauss(n // 2 + _NODES)
+    nodes, weights = (1 + nodes) / 2, weights / 2
+    theta, phi = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
+    weight = np.outer(weights, weights).ravel()
+
+    def term(values, apart):
+        """Both panels: from the zenith to the sun, or the horizon if that is nearer, and from there to the horizon."""
+        u, v, share = values
+        split = dr.minimum(apart, math.pi / 2)
+        towards_sun = array(dr.sin(apart), number(0), dr.cos(apart))
+        out = [number(0)] * (n + 1) ** 2
+        for first, span in ((number(0), split), (split, math.pi / 2 - split)):
+            (sin, cos), (sin_phi, cos_phi) = dr.sincos(first + span * u), dr.sincos(number(math.pi * v))
+            place = array(sin * cos_phi, sin * sin_phi, cos)
+            sky = _relative(kind, cos, (_angle(place, towards_sun), apart))
+            area = sky * sin * span * (share * (2 * math.pi))             # the sky is even in phi: both halves at once
+            basis = sh_basis(place, n)
+            for i in (l * (l + 1) + m for l in range(n + 1) for m in range(l + 1)):
+                out[i] = dr.fma(basis[i], area, out[i])
+        return out
+
+    local = sum_over_nodes(number, (theta, phi, weight), term, (n + 1) ** 2, apart)
+    return [c * zenith_luminance for c in rotate_frame(local, east, dr.cross(zenith, east), zenith, n)]
+
+
+_NODES = 16
+"""Nodes along each side of a panel, beside those that the spherical harmonics need."""
+
+
+def _sky_arguments(name: str, kind: str, sun, **vectors) -> list:
+    """The vectors of one common type, zenith and sun of unit length, with the sun as last; None if there is none."""
+    check_choice(name, "kind", kind, SKIES)
+    if kind == "overcast":
+        if sun is not None:
+            raise ValueError(message(name, "sun", "be left out with kind='overcast'", sun, "An overcast sky is the same all around."))
+        *others, zenith = vectors3(name, **vectors)
+        return [*others, _axis(name, "zenith", zenith), None]
+    if sun is None:
+        raise ValueError(message(name, "sun", f"be a 3-vector with kind='{kind}'", sun, "It points towards the sun: (1, 1, 0)."))
+    *others, zenith, sun = vectors3(name, **vectors, sun=sun)
+    return [*others, _axis(name, "zenith", zenith), _axis(name, "sun", sun)]
+
+
+def _axis(name: str, argument: str, vector):
+    if not dr.is_jit_v(vector) and not dr.norm(vector) > 0:
+        raise ValueError(message(name, argument, "be a vector of some length", list(vector), "Its length does not matter otherwise."))
+    return unit(not_literal(vector))
+
+
+def _luminance(name: str, value):
+    if dr.is_float_v(value) and dr.is_array_v(value) and dr.depth_v(value) == 1:
+        return value
+    return check_number(name, "zenith_luminance", value, 0)
+
+
+def _relative(kind: str, cosine, toward):
+    """Luminance over that of the zenith, `cosine` the one of theta and `toward` the angles gamma and S; 0 below the horizon."""
+    if kind == "overcast":
+        relative = (1 + 2 * cosine) / 3
+    else:
+        gamma, apart = toward
+        relative = _glow(kind, gamma) * _haze(kind, cosine) / (_glow(kind, apart) * _haze(kind, type(cosine)(1)))
+    return dr.select(cosine > 0, relative, 0)
+
+
+def _glow(kind: str, angle):
+    constant, factor, decay, square = _GLOW[kind]
+    return constant + factor * dr.exp(-decay * angle) + square * dr.square(dr.cos(angle))
+
+
+def _haze(kind: str, cosine):
+    return 1 - dr.exp(-_HAZE[kind] / dr.maximum(cosine, 1e-3))            # at 1e-3 it is 1 in any precision
+
+
+def _angle(a, b):
+    """Angle between unit vectors: exact where they meet, where an acos is not."""
+    return dr.atan2(dr.safe_sqrt(dr.squared_norm(dr.cross(a, b))), dr.dot(a, b))

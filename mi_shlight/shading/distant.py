@@ -1,0 +1,223 @@
+"""Lights at an infinite distance, projected to spherical harmonics, and lights without an extent, which are shaded one by one."""
+from __future__ import annotations
+
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..environment.nodes import leggauss
+from ..scene import aligned, warn
+from ..sh.lobes import sh_matrix
+from ..sh.rotation import multiples, rotate_frame
+
+SKY_ROWS = 180
+"""Latitudes at which an emitter without pixels of its own is looked at; an even number, so that a horizon lies halfway between two."""
+
+LANES = 8192
+"""Pixels of a map are summed up by about so many threads side by side."""
+
+SPECTRAL_STEP, SPECTRAL_NODES = 5.0, 96
+"""Distance in nm and number of the wavelengths, from 360 nm, at which a map's coefficients are held: as Mitsuba's own tables."""
+
+
+class DistantLights:
+    """The emitters of a scene that are no surfaces.
+
+    ``constant`` and ``envmap``, and any other emitter at an infinite distance, are projected to spherical harmonics; of these Mitsuba
+    allows one to a scene. An envmap's coefficients are those of the very function that Mitsuba evaluates, bilinear in both angles between
+    the pixels' places, integrated without sampling; any other emitter is taken as bilinear between directions 1 degree apart.
+    ``directional``, ``point``, ``spot`` and ``projector`` have no extent: light from them is exact at every point, with a ray for the shadow.
+
+    Attributes
+    ----------
+    projected : bool
+        True if there is something to project.
+    delta_count : int
+        Number of emitters without an extent.
+    """
+
+    DRJIT_STRUCT = dict.fromkeys(("_delta", "_map"), object)
+
+    def __init__(self, scene, order: int, complain=warn):
+        self.scene, self.order = scene, order
+        self.spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
+        deltas, self._emitter = [], None
+        for emitter in scene.emitters():
+            kind, name = emitter.class_name(), emitter.id()
+            if emitter.is_environment():
+                self._emitter = emitter
+            elif has(emitter, "DeltaPosition", "DeltaDirection") and not has(emitter, "Surface"):
+                deltas.append(emitter)
+            elif not has(emitter, "Surface"):
+                complain(f"emitter '{name}' ({kind}): it is neither a surface nor a light that can be projected or sampled. It does not "
+                         "light surfaces in this picture; remove it, or render with Mitsuba's 'path'.")
+        if self._emitter is not None and mi.traverse(self._emitter).get("sun_scale", 0) > 0:
+            complain(f"emitter '{self._emitter.id()}' ({self._emitter.class_name()}): the disc of its sun is too small for spherical "
+                     "harmonics. It does not light surfaces in this picture; set its sun_scale to 0 and add a 'directional' light.")
+            self._emitter = None
+        self.projected, self.delta_count = self._emitter is not None, len(deltas)
+        self._delta = aligned(mi.UInt32, [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(e))[0] for e in deltas])
+        varying = self.projected and has(self._emitter, "SpatiallyVarying")
+        self._map = MapProjection(self._emitter, order, len(self.spectrum(0))) if varying else None
+
+    def coefficients(self, wavelengths) -> list:
+        """SH coefficients of the light at an infinite distance, in the world's axes: ``(order + 1)**2`` spectra in radiance times steradian.
+
+        Without wavelengths the same for all points; they carry derivatives by radiance, scale and pixels if derivatives are on. In spectral
+        variants those of maps are interpolated between wavelengths 5 nm apart.
+        """
+        count = (self.order + 1) ** 2
+        if self._map is None:
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.wavelengths = wavelengths
+            mean = mi.unpolarized_spectrum(self._emitter.eval(si)) * math.sqrt(4 * math.pi)
+            return [mean] + [self.spectrum(0) for _ in range(count - 1)]
+        table = self._map.project()
+        row = dr.width(table) // count
+        if not mi.is_spectral:
+            return [self.spectrum(*(dr.gather(mi.Float, table, mi.UInt32(i * row + c)) for c in range(row))) for i in range(count)]
+        nodes = [(mi.UInt32(dr.clip(at, 0, SPECTRAL_NODES - 2)), at) for at in (wavelengths - mi.MI_CIE_MIN) * (1 / SPECTRAL_STEP)]
+        between = lambda i, k, at: dr.lerp(*(dr.gather(mi.Float, table, i * row + k + j) for j in (0, 1)), at - mi.Float(k))
+        return [self.spectrum(*(between(i, k, at) for k, at in nodes)) for i in range(count)]
+
+    def delta_irradiance(self, p, n, wavelengths, active, shadows: bool = True):
+        """Radiance that a white diffuse surface sends for light from emitters without an extent; spectrum.
+
+        Parameters
+        ----------
+        p, n : mi.Point3f, mi.Normal3f
+            Points and their unit normals on the side that is lit.
+        shadows : bool
+            False: lights shine through everything.
+
+        Differentiable by points, normals and emitters; shadows are taken as they are.
+        """
+        cosine = lambda d, n: self.spectrum(dr.maximum(dr.dot(n, d), 0) * dr.inv_pi)
+        return self._over_deltas(cosine, mi.Point3f(p), mi.Normal3f(n), mi.Normal3f(n), wavelengths, active, shadows)
+
+    def delta_reflected(self, si, bsdf, active, shadows: bool = True):
+        """The same, sent towards the camera by any BSDF: `bsdf` at the surface interactions `si`."""
+        def scattered(d, si):
+            return mi.unpolarized_spectrum(bsdf.eval(mi.BSDFContext(), si, si.to_local(d), active))
+
+        return self._over_deltas(scattered, si.p, si.n, si, si.wavelengths, active, shadows)
+
+    def _over_deltas(self, weigh, p, n, data, wavelengths, active, shadows: bool):
+        """Sum of the lights' irradiance without the cosine, times ``weigh(direction, data)``."""
+        if not self.delta_count:
+            return self.spectrum(0)
+
+        def body(k, total, p, n, data):
+            emitter = dr.reinterpret_array(mi.EmitterPtr, dr.gather(mi.UInt32, self._delta, k))
+            it = dr.zeros(mi.Interaction3f)
+            it.p, it.n, it.wavelengths = p, n, wavelengths
+            ds, incoming = emitter.sample_direction(it, mi.Point2f(0.5), active)
+            seen = active & (dr.max(mi.unpolarized_spectrum(incoming)) > 0)
+            if shadows:
+                seen &= ~self.scene.ray_test(dr.detach(it.spawn_ray_to(ds.p)), seen)
+            return k + 1, total + (mi.unpolarized_spectrum(incoming) * weigh(ds.d, data) & seen), p, n, data
+
+        start = (mi.UInt32(0), self.spectrum(0), p, n, data)
+        return dr.while_loop(start, lambda k, *_: k < self.delta_count, body, mode="symbolic", max_iterations=-1)[1]
+
+
+class MapProjection:
+    """SH coefficients of an emitter at an infinite distance, taken as bilinear in both angles between a grid of directions.
+
+    Row by row the emitter is summed up to its Fourier terms about the pole; these meet the integrals of each row's share in the Legendre
+    functions. That is ``W H (2 n + 1)`` steps where the harmonics of each pixel would be ``W H (n + 1)^2``.
+    """
+
+    DRJIT_STRUCT = dict.fromkeys(("_weights", "_wave", "_weight"), object)
+
+    def __init__(self, emitter, order: int, channels: int):
+        self._emitter, self._order, self._channels = emitter, order, channels
+        self._pixels = emitter.class_name() == "EnvironmentMapEmitter"
+        self.rows, self.columns = SKY_ROWS, 2 * SKY_ROWS
+        if self._pixels:                              # Mitsuba adds a copy of the outer columns on either side
+            self.rows, self.columns = (size - border for size, border in zip(mi.traverse(emitter)["data"].shape, (0, 2)))
+        self._packs = SPECTRAL_NODES // channels if mi.is_spectral else 1
+        self._parts = max(1, min(LANES // self.rows, self.columns // 8))
+        self._weights = aligned(mi.Float, latitude_weights(self.rows, self.columns, order).ravel())
+        degrees = [(l, m) for l in range(order + 1) for m in range(-l, l + 1)]
+        self._wave = aligned(mi.UInt32, [m if m >= 0 else order - m for _, m in degrees])
+        self._weight = aligned(mi.UInt32, [l * (l + 1) // 2 + abs(m) for l, m in degrees])
+
+    def project(self):
+        """Coefficients in the world's axes as one flat buffer: for each of them its channels, or its `SPECTRAL_NODES` wavelengths."""
+        m = dr.detach(self._emitter.world_transform())
+        pole, start = ((0, 1, 0), (0, 0, -1)) if self._pixels else ((0, 0, 1), (1, 0, 0))
+        n, s = m @ mi.Vector3f(pole), m @ mi.Vector3f(start)
+        t = dr.cross(n, s)                            # the columns' places are symmetric: a mirrored map meets them in another order
+        waves = self._waves(s, t, n)
+        count, channels, packs = (self._order + 1) ** 2, self._channels, self._packs
+        slices = self.rows * self._parts
+        lane = dr.arange(mi.UInt32, count * packs * channels)
+        i, node = lane // (packs * channels), lane % (packs * channels)
+        pack, channel = node // channels, node % channels
+        first = (dr.gather(mi.UInt32, self._wave, i) * channels + channel) * (packs * slices) + pack * slices
+        weight = dr.gather(mi.UInt32, self._weight, i) * self.rows
+
+        def body(k, total):
+            share = dr.gather(mi.Float, self._weights, weight + k // self._parts)
+            return k + 1, dr.fma(dr.gather(mi.Float, waves, first + k), share, total)
+
+        local = dr.while_loop((mi.UInt32(0), dr.zeros(mi.Float, len(lane))), lambda k, _: k < slices, body, mode="symbolic",
+                              max_iterations=-1)[1]
+        row = dr.arange(mi.UInt32, packs * channels)
+        coeffs = [dr.gather(mi.Float, local, i * packs * channels + row) for i in range(count)]
+        return dr.concat(rotate_frame(coeffs, s, t, n, self._order))
+
+    def _waves(self, s, t, n):
+        """Fourier terms of parts of all rows: flat, term by term and channel by channel."""
+        order, channels, slices = self._order, self._channels, self.rows * self._parts
+        lane = dr.arange(mi.UInt32, self._packs * slices)
+        piece = lane % slices
+        theta = mi.Float(piece // self._parts) * (math.pi / (self.rows - 1))
+        theta = dr.clip(theta, 1e-4, math.pi - 1e-4)                      # poles have no azimuth
+        sin, cos = dr.sincos(theta)
+        length = -(-self.columns // self._parts)
+        column = (piece % self._parts) * length
+
+        def body(k, total):
+            sin_phi, cos_phi = dr.sincos((mi.Float(column + k) + 0.5) * (2 * math.pi / self.columns))
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.wi = -(sin * cos_phi * s + sin * sin_phi * t + cos * n)
+            if mi.is_spectral:
+                node = (lane // slices) * channels
+                si.wavelengths = type(si.wavelengths)([mi.MI_CIE_MIN + SPECTRAL_STEP * mi.Float(node + c) for c in range(channels)])
+            radiance = mi.unpolarized_spectrum(self._emitter.eval(si)) & (column + k < self.columns)
+            cosines, sines = multiples(cos_phi, sin_phi, order)
+            terms = [wave * value for wave in (*cosines, *sines[1:]) for value in radiance]
+            return k + 1, [a + b for a, b in zip(total, terms)]
+
+        start = mi.UInt32(0), [dr.zeros(mi.Float, dr.width(lane)) for _ in range((2 * order + 1) * channels)]
+        total = dr.while_loop(start, lambda k, _: k < length, body, mode="symbolic", max_iterations=-1)[1]
+        return dr.concat(total)
+
+
+def latitude_weights(rows: int, columns: int, order: int) -> np.ndarray:
+    """Integrals of the bilinear share of one value in a row: ((order + 1)(order + 2) / 2, rows), number ``l (l + 1) / 2 + m``.
+
+    Row j stands at ``theta = pi j / (rows - 1)``, its values ``2 pi / columns`` apart. In phi the tent times ``cos(m phi)`` is elementary;
+    in theta Gauss-Legendre's rule is exact to rounding.
+    """
+    step = math.pi / (rows - 1)
+    nodes, weights = leggauss(6 + math.ceil(order * step))
+    share, weights = (1 + nodes) / 2, weights / 2 * step
+    theta = (np.arange(rows - 1)[:, None] + share) * step
+    directions = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1).reshape(-1, 3)
+    values = sh_matrix(directions, order).reshape(rows - 1, len(nodes), -1) * (weights * np.sin(theta))[..., None]
+    out = np.zeros((rows, (order + 1) ** 2))
+    out[:-1] += np.einsum("k,rki->ri", 1 - share, values)
+    out[1:] += np.einsum("k,rki->ri", share, values)
+    spacing = 2 * math.pi / columns
+    tent = spacing * np.sinc(np.arange(order + 1) / columns) ** 2         # numpy's sinc: sin(pi x) / (pi x)
+    return np.stack([out[:, l * (l + 1) + m] * tent[m] for l in range(order + 1) for m in range(l + 1)])
+
+
+def has(emitter, *flags: str) -> bool:
+    """True if the emitter has one of the flags."""
+    return any(mi.has_flag(emitter.flags(), getattr(mi.EmitterFlags, flag)) for flag in flags)
