@@ -186,7 +186,7 @@ from ..light.project import default_error
 from ..light.quadrature import node_tables
 from ..scene import Fingerprint, refuse, warn
 from ..shading.bounce import Bounces
-from ..shading.hits import hit_transfer
+from ..shading.hits import BakedTransfer, HitTransfer
 from ..shading.lighting import Lighting
 from ..shading.near import Points, luminance
 from ..shading.settings import DEFAULT_SAMPLES, Settings, read_settings
@@ -207,11 +207,23 @@ def build():
             self._settings = read_settings(props)
             super().__init__(mi.Properties("shprt"))
             self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
-            if self._transfer is not None and self._transfer.order < self.order:
-                rule = f"be at most {self._transfer.order}, the order of '{self.transfer_file}'"
-                raise ValueError(message("shprt", "order", rule, self.order, "Bake the file at a higher order, or lower 'order'."))
+            if self._transfer is not None:
+                self._check_file(self._transfer)
             self._state = None
             self._nodes = node_tables(mi.Float, self.order, default_error(mi.Float(0)))     # held for dr.freeze to see
+
+        def _check_file(self, baked) -> None:
+            """Raise ValueError unless a bake from a file is what the parameters ask for."""
+            of_file = f"of '{self.transfer_file}'"
+            if baked.localised and baked.order != self.order:
+                raise ValueError(message("shprt", "order", f"be {baked.order}, that {of_file}", self.order,
+                                         "Localised transfer is of use at its own order only. Bake it anew at this one."))
+            if baked.order < self.order:
+                raise ValueError(message("shprt", "order", f"be at most {baked.order}, that {of_file}", self.order,
+                                         "Bake the file at a higher order, or lower 'order'."))
+            if baked.transfer != self._settings.parts.direct:
+                raise ValueError(message("shprt", "transfer", f"be {baked.transfer}, that {of_file}, or join it", self.transfer,
+                                         "Bake the file with the transfer you want."))
 
         def parameters(self) -> dict:
             """All parameters with their values, as `mi.load_dict` takes them."""
@@ -266,6 +278,8 @@ def build():
             baked = self._transfer
             if baked is not None and self.transfer_file and not same_geometry:
                 baked.check(scene)
+            if baked is not None and baked.distant != self._state.distant.projected:
+                baked = None                          # another kind of light has come or gone
             if baked is not None and (self.transfer_file or same_geometry or baked.fits(scene)):
                 distance = moved(baked.outlines, [light.outline for light in self._state.lights])
                 if distance <= baked.light_margin:
@@ -277,8 +291,9 @@ def build():
                     raise ValueError(f"{text} (an error because 'strict' is true).")
                 warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
             samples = self.transfer_samples or DEFAULT_SAMPLES["vertex"]
-            return trace_transfer(scene, self._state.lights, self._state.receivers, self.order, samples, self.max_edge,
-                                  self.light_margin, progress)
+            state = self._state
+            return trace_transfer(scene, state.lights, state.receivers, self.order, samples, self.max_edge, self.light_margin, progress,
+                                  self._settings.parts.direct, self.localised, state.distant.projected)
 
         def sample(self, mode, scene, sampler, ray, active=True, **kwargs):
             self.prepare_scene(scene)
@@ -320,7 +335,11 @@ def build():
             points = Points(si.p, dr.select(front, si.sh_frame.n, -si.sh_frame.n), si.wavelengths, lit)
             lighting, transfer_of = lighting_at(si.wavelengths), None
             if parts.direct != "unshadowed":
-                transfer_of = hit_transfer(state, self._settings, lighting.table, pi, si.shape, points, ~front, sampler)
+                baked, where = None, False
+                if state.lookup:
+                    rows, weights, where = state.lookup.rows_at(pi, si.shape, ~front, lit)
+                    baked = BakedTransfer(state.lookup, rows, weights, where, self.order)
+                transfer_of = HitTransfer(state, self._settings, parts.direct, self.order, lighting.table, points, sampler, baked, where)
             white = lighting.white(points, transfer_of)
             if parts.interreflected:
                 white = white + state.bounces.picture(lighting_at).white(lighting, points, pi, si.shape, ~front, sampler)

@@ -55,8 +55,7 @@ def project_cap(half_angle, order: int, direction=(0.0, 0.0, 1.0)) -> list:
     """
     n = check_order("project_cap", order)
     d, half_angle = _cap_arguments("project_cap", direction, half_angle)
-    basis = sh_basis(d, n)
-    return [2 * math.pi * q * basis[l * l + k] for l, q in enumerate(_legendre_integrals(half_angle, n)) for k in range(2 * l + 1)]
+    return zonal_about(d, cap_bands(half_angle, n), n)
 
 
 def proxy_shadow(coeffs, direction, half_angle, order: int | None = None) -> list:
@@ -119,14 +118,19 @@ def _cap_arguments(name: str, axis, half_angle) -> tuple:
     return unit(not_literal(axis)), not_literal(angle)[0]
 
 
-def _legendre_integrals(angle, order: int) -> list:
-    """``q_0 .. q_order`` of equation (1)."""
+def zonal_about(axis, bands: list, order: int) -> list:
+    """Coefficients ``bands_l Y_lm(axis)`` of a function symmetric about the unit vector `axis`."""
+    return [bands[l] * y for (l, _), y in zip(((l, m) for l in range(order + 1) for m in range(-l, l + 1)), sh_basis(axis, order))]
+
+
+def cap_bands(angle, order: int) -> list:
+    """``2 pi q_0 .. 2 pi q_order`` of equation (1)."""
     c, s, half = dr.cos(angle), dr.sin(angle), dr.sin(angle * 0.5)
-    values, before, p, slope = [2 * half * half], type(c)(1), c, type(c)(1)
+    bands, before, p, slope = [4 * math.pi * half * half], type(c)(1), c, type(c)(1)
     for l in range(1, order + 1):
-        values.append(s * s * slope / (l * (l + 1)))
+        bands.append(2 * math.pi / (l * (l + 1)) * s * s * slope)
         p, before, slope = dr.fma((2 * l + 1) / (l + 1) * c, p, -l / (l + 1) * before), p, dr.fma(c, slope, (l + 1) * p)
-    return values
+    return bands
 
 
 def _inside(coeffs: list, angle, order_in: int, order_out: int) -> list:

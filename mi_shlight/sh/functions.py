@@ -162,30 +162,39 @@ def project_image(image, order: int, to_world=None, interpolation: str = "biline
     height, width = pixels.shape[:2]
     frame = ENVMAP_FRAME if to_world is None else static_rotation("project_image", "to_world", to_world) @ ENVMAP_FRAME
 
-    step = 2 * math.pi / width
-    m = np.arange(order + 1)
-    phi = (np.arange(width) + 0.5) * step
-    pixel = step * np.sinc(m * (step / (2 * math.pi))) ** (2 if bilinear else 1)           # of a hat or a box, over the wave at its middle
-    waves = np.concatenate([np.cos(np.outer(phi, m)) * pixel, -np.sin(np.outer(phi, m)) * pixel], axis=1)
-    l = np.concatenate([np.full(2 * l + 1, l) for l in range(order + 1)])
-    signed = np.arange((order + 1) ** 2) - l * (l + 1)
+    weights = map_weights(height, width, order, bilinear)
+    angle = np.outer((np.arange(width) + 0.5) * (2 * math.pi / width), np.arange(order + 1))
+    waves = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1)           # azimuth runs against u
+    series = np.concatenate([np.tensordot(waves, pixels[k:k + _ROWS_PER_STEP].astype(np.float64), axes=(0, 1))
+                             for k in range(0, height, _ROWS_PER_STEP)], axis=1)
+    coeffs = [np.tensordot(weights[l * (l + 1) // 2 + abs(m)], series[m if m >= 0 else order + 1 - m], axes=1)
+              for l in range(order + 1) for m in range(-l, l + 1)]
+    return rotate(np.stack(coeffs, axis=-1), frame)
 
-    rows = height - 1 if bilinear else height
-    node, weight = np.polynomial.legendre.leggauss(4 + math.ceil(2 * (order + 2) * math.pi / rows))
-    coeffs = 0
-    for begin in range(0, rows, _ROWS_PER_STEP):
-        first = np.arange(begin, min(rows, begin + _ROWS_PER_STEP))
-        theta = ((first[:, None] + (node + 1) / 2) * (math.pi / rows)).ravel()
-        legendre = sh_matrix(np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1), order)[:, l * (l + 1) + abs(signed)]
-        legendre = (legendre * np.sin(theta)[:, None]).reshape(len(first), len(node), -1) * (weight * math.pi / (2 * rows))[:, None]
-        band = pixels[first[0]:first[-1] + 1 + bilinear].astype(np.float64)
-        series = np.tensordot(waves[:, np.where(signed < 0, order + 1, 0) + abs(signed)], band, axes=(0, 1))      # (C, rows[, K])
-        if bilinear:
-            upper, lower = (np.einsum("iqc,q->ci", legendre, share) for share in ((1 - node) / 2, (1 + node) / 2))
-            coeffs = coeffs + np.einsum("ci...,ci->...c", series[:, :-1], upper) + np.einsum("ci...,ci->...c", series[:, 1:], lower)
-        else:
-            coeffs = coeffs + np.einsum("ci...,ci->...c", series, legendre.sum(axis=1).T)
-    return rotate(coeffs, frame)
+
+def map_weights(rows: int, columns: int, order: int, bilinear: bool = True) -> np.ndarray:
+    """Integrals over the sphere of what the pixels of a latitude-longitude map stand for, times the harmonics of azimuth 0 at the pixel.
+
+    Pixel (i, j) has the weight ``map_weights[l (l + 1) / 2 + m, i] {cos, sin}(m phi_j)`` in the coefficients of l and +-m. Returns an array
+    ((order + 1)(order + 2) / 2, rows). `bilinear`, and where the pixels are: as in :py:func:`project_image`.
+
+    In the azimuth a tent, or a box, times ``cos(m phi)`` is elementary; in the colatitude Gauss-Legendre's rule is exact to rounding.
+    """
+    bands = rows - 1 if bilinear else rows
+    node, weight = np.polynomial.legendre.leggauss(4 + math.ceil(2 * (order + 2) * math.pi / bands))
+    shares = ((1 - node) / 2, (1 + node) / 2) if bilinear else (np.ones_like(node),)
+    positive = [l * (l + 1) + m for l in range(order + 1) for m in range(l + 1)]
+    out = np.zeros((len(positive), rows))
+    for begin in range(0, bands, _ROWS_PER_STEP):
+        first = np.arange(begin, min(bands, begin + _ROWS_PER_STEP))
+        theta = ((first[:, None] + (node + 1) / 2) * (math.pi / bands)).ravel()
+        harmonics = sh_matrix(np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1), order)[:, positive]
+        harmonics = (harmonics * np.sin(theta)[:, None]).reshape(len(first), len(node), -1)
+        for k, share in enumerate(shares):
+            out[:, first + k] += np.einsum("iqc,q->ci", harmonics, share * weight * (math.pi / (2 * bands)))
+    spacing = 2 * math.pi / columns
+    tent = spacing * np.sinc(np.arange(order + 1) / columns) ** (2 if bilinear else 1)        # numpy's sinc: sin(pi x) / (pi x)
+    return out * np.concatenate([tent[:l + 1] for l in range(order + 1)])[:, None]
 
 
 def reconstruct(coeffs, directions):

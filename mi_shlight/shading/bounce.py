@@ -10,6 +10,7 @@ from ..errors import UnsupportedSceneWarning, message
 from ..scene import shape_name
 from ..transfer.bounce import MAX_BOUNCES, BakedPoints, bounced_at, solve_bounces, trace_bounces
 from ..transfer.cosine import cosine_transfer
+from .hits import BakedTransfer
 from .near import Points
 
 PIXEL_SAMPLES = 64
@@ -55,10 +56,10 @@ class Bounces:
                      "reflect none towards them. Make them meshes.")
 
     def prepare(self) -> None:
-        """Bake interreflected transfer ([G03] diffuse interreflected transfer) for the reflectances as they are now, if the settings ask for
-        it and it is not at hand.
+        """Bake interreflected transfer ([G03] diffuse interreflected transfer) for the present reflectances, if the settings ask for it and
+        it is not at hand. While `dr.freeze` records, what was baked before is kept.
         """
-        if self._settings.bounce_lighting == "transfer":
+        if self._settings.bounce_lighting == "transfer" and not dr.flag(dr.JitFlag.FreezingScope):
             with dr.suspend_grad():
                 reflectance = self._at_rows(self._points.reflectance)
                 if self.transfer is None or not dr.all(reflectance == self._reflectance):
@@ -70,6 +71,7 @@ class Bounces:
         `lighting_at(wavelengths)`: the `Lighting` for rays of these wavelengths.
         """
         if self._settings.bounce_lighting == "transfer":
+            self.prepare()
             return BouncedLight(self, None, None)
         reflectance = self._at_rows(self._points.reflectance)
         direct = self._at_rows(lambda rows, wavelengths: self._direct(lighting_at(wavelengths), rows, wavelengths))
@@ -93,9 +95,7 @@ class Bounces:
     def _direct(self, lighting, rows, wavelengths):
         p, n = (dr.gather(type(v), dr.ravel(v), rows) for v in (self._points.positions, self._points.normals))
         points = Points(p, n, wavelengths, mi.Bool(True))
-        one = mi.Float(1)
-        transfer_of = lambda g, first, last: self.state.lookup.coefficients([rows], [one], True, g, self._settings.order)
-        return lighting.white(points, transfer_of)
+        return lighting.white(points, BakedTransfer(self.state.lookup, [rows], [mi.Float(1)], True, self._settings.order))
 
     def _solve(self, direct, reflectance, channels: int):
         frozen = dr.flag(dr.JitFlag.FreezingScope)    # nothing can be measured there
@@ -183,7 +183,7 @@ class BouncedLight:
     def _by_transfer(self, lighting, points: Points, rows, weights, baked):
         """The same by interreflected transfer vectors, as if lights looked the same from where light bounces."""
         def channel(nodes):
-            return lighting.transferred(points, lambda g, first, last: self._vector(g, nodes, rows, weights, baked))
+            return lighting.transferred(points, lambda g, lights: (self._vector(g, nodes, rows, weights, baked), None))
 
         nodes = self._nodes(points.wavelengths)
         return self._bounces.spectrum(*(channel(nodes[c])[c] for c in range(len(nodes))))

@@ -1,42 +1,77 @@
-"""Transfer at the points that the camera sees: interpolated from what was baked, or by rays."""
+"""Transfer at surface points: interpolated from what was baked, or by rays."""
 from __future__ import annotations
 
 import drjit as dr
 
-from ..transfer.visibility import shadowed_transfer
+from ..transfer.localised import cone_fit, sample_transfer
+from ..transfer.visibility import LightSight, SkySight
 from .settings import DEFAULT_SAMPLES
 
 
-def hit_transfer(state, settings, table, pi, shape, points, back_side, sampler):
-    """Function ``(g, first, last)`` that gives the transfer of light group g, lights `first` to `last` - 1, at camera hits.
+class BakedTransfer:
+    """Transfer interpolated between rows of a bake.
+
+    Parameters
+    ----------
+    lookup : TransferLookup
+    rows, weights, valid
+        As :py:meth:`~mi_shlight.transfer.store.TransferLookup.rows_at` gives them.
+    order : int
+        Highest degree wanted.
+    """
+
+    def __init__(self, lookup, rows, weights, valid, order: int):
+        self._lookup, self._order, self._at = lookup, order, (rows, weights, valid)
+
+    def __call__(self, g, lights) -> tuple:
+        """(coefficients, visible) of light group `g` with `lights`, the first and one past the last, or None if they are infinitely far
+        away. `visible` is None unless it is the part of the exact unshadowed light that the coefficients do not hold.
+        """
+        visible = self._lookup.visibility(*self._at, g) if self._lookup.kind == "exact" and lights else None
+        return self._lookup.coefficients(*self._at, g, self._order), visible
+
+
+class HitTransfer:
+    """Transfer at camera hits, called as :py:class:`BakedTransfer`: of that where there is any, and by rays elsewhere.
 
     Parameters
     ----------
     state : SceneState
-        With its look-up if `settings` ask for transfer per vertex.
+    settings : Settings
+    kind : str
+        As in :py:func:`~mi_shlight.transfer.localised.sample_transfer`.
+    order : int
     table : LightTable
         Attached.
-    pi, shape : preliminary intersection and shape of the hits
     points : Points
-    back_side : Bool
-        True where the back is seen.
+    sampler : mi.Sampler
+    baked : BakedTransfer, optional
+    where : Bool
+        Points that have baked transfer.
     """
-    lit, order = points.active, settings.order
-    lookup, traced, p, n = None, lit, dr.detach(points.p), dr.detach(points.n)
-    if settings.transfer_domain == "vertex":
-        lookup = state.lookup
-        rows, weights, baked = lookup.rows_at(pi, shape, back_side, lit)
-        traced = lit & ~baked
-    by_rays = lookup is None or not state.all_baked
-    if by_rays:
-        shift, lights = sampler.next_2d(lit), state.bake_lights.at(*table.outlines())
-        samples = settings.transfer_samples if lookup is None and settings.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
-    def transfer_of(g, first, last):
-        coeffs = lookup.coefficients(rows, weights, baked, g, order) if lookup else None
-        if not by_rays:
-            return coeffs
-        found = shadowed_transfer(state.occluders, lights, (first, last), p, n, order, samples, shift, traced)[0]
-        return [dr.select(traced, t, c) for t, c in zip(found, coeffs)] if coeffs else found
+    def __init__(self, state, settings, kind: str, order: int, table, points, sampler, baked=None, where=False):
+        self._state, self._kind, self._order, self._baked = state, kind, order, baked
+        self._traced = points.active if baked is None else points.active & ~where
+        self._rays = baked is None or not state.all_baked
+        if not self._rays:
+            return
+        self._p, self._n = dr.detach(points.p), dr.detach(points.n)
+        self._shift = sampler.next_1d(points.active)
+        self._samples = settings.transfer_samples if baked is None and settings.transfer_samples else DEFAULT_SAMPLES["pixel"]
+        self._lights = state.bake_lights.at(*table.outlines()) if table else None
+        self._fit = cone_fit(order, self._samples) if settings.localised else None
 
-    return transfer_of
+    def __call__(self, g, lights) -> tuple:
+        coeffs, visible = self._baked(g, lights) if self._baked else (None, None)
+        if not self._rays:
+            return coeffs, visible
+        sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)
+        kind = "shadowed" if self._kind == "exact" and not lights else self._kind
+        found = sample_transfer(sight, self._p, self._n, self._order, self._samples, self._shift, self._traced, kind=kind,
+                                fit=self._fit if lights else None)
+        traced_visible = found.visibility if kind == "exact" else None
+        if not self._baked:
+            return found.coeffs, traced_visible
+        coeffs = [dr.select(self._traced, t, c) for t, c in zip(found.coeffs, coeffs)]
+        return coeffs, None if visible is None else dr.select(self._traced, traced_visible, visible)

@@ -1,6 +1,8 @@
 """All light that reaches a surface point without another surface in between."""
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 
@@ -32,24 +34,27 @@ class Lighting:
     def white(self, points: Points, transfer_of=None):
         """Radiance that a white diffuse surface sends; spectrum.
 
-        `transfer_of(g, first, last)` gives the transfer vectors of light group g, lights `first` to `last` - 1; the group of distant lights
-        comes after those of the polygonal ones. Without it nothing casts shadows.
+        `transfer_of(g, lights)` gives the transfer of a light group, as :py:class:`~mi_shlight.shading.hits.BakedTransfer` does; the group
+        of distant lights comes after those of the polygonal ones. Without it nothing casts shadows.
         """
-        direct = self._settings.parts.direct
-        if direct == "unshadowed":
+        if transfer_of is None:
             total = self.near.unshadowed(points)
+            if self.distant is not None:
+                total += self._far(cosine_transfer(points.n, self._settings.order))
         else:
-            total = self.near.shadowed(points, transfer_of)
-        if direct == "exact":
-            total = self.near.exact(points) - total
-        if self.distant is not None:
-            total += self._far(points, transfer_of)
-        return total + self._state.distant.delta_irradiance(points.p, points.n, points.wavelengths, points.active, direct != "unshadowed")
+            total = self.transferred(points, transfer_of)
+        lit = points.p, points.n, points.wavelengths, points.active
+        return total + self._state.distant.delta_irradiance(*lit, transfer_of is not None)
 
     def transferred(self, points: Points, transfer_of):
-        """``sum_lm T_lm L_lm`` over all lights but those without an extent, for any transfer vectors; spectrum."""
-        total = self.near.shadowed(points, transfer_of)
-        return total if self.distant is None else total + self._far(points, transfer_of)
+        """The same by lights that have an extent, for any transfer."""
+        settings = self._settings
+        factors = window_factors(settings.window, settings.order) if settings.window != "none" else None
+        total = self.near.shadowed(points, _windowed(transfer_of, None if settings.localised else factors))
+        if self.distant is None:
+            return total
+        coeffs, _ = _windowed(transfer_of, factors)(mi.UInt32(self._state.group_count), None)
+        return total + self._far(dr.detach(coeffs))
 
     def coefficients(self, points: Points, weigh=list) -> list:
         """SH coefficients of all lights but those without an extent, at the points: one list for each of the floats that `weigh` makes of
@@ -60,13 +65,17 @@ class Lighting:
             return coeffs
         return [[c + d for c, d in zip(*lists)] for lists in zip(coeffs, zip(*(weigh(d) for d in self.distant)))]
 
-    def _far(self, points: Points, transfer_of):
-        if transfer_of is None:
-            transfer = cosine_transfer(points.n, self._settings.order)
-        else:
-            none = mi.UInt32(0)
-            transfer = [dr.detach(t) for t in transfer_of(mi.UInt32(self._state.group_count), none, none)]
-        if self._settings.window != "none":
-            factors = window_factors(self._settings.window, self._settings.order)
-            transfer = [t * factors[int(i ** 0.5)] for i, t in enumerate(transfer)]
+    def _far(self, transfer: list):
         return sum((c * t for c, t in zip(self.distant, transfer)), type(self.distant[0])(0))
+
+
+def _windowed(transfer_of, factors):
+    """`transfer_of` with each band of its coefficients multiplied by its factor, if there are any."""
+    if factors is None:
+        return transfer_of
+
+    def windowed(g, lights):
+        coeffs, visible = transfer_of(g, lights)
+        return [c * factors[math.isqrt(i)] for i, c in enumerate(coeffs)], visible
+
+    return windowed

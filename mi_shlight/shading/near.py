@@ -44,37 +44,26 @@ class NearLights:
     def shadowed(self, points: Points, transfer_of):
         """``sum_k L_k sum_lm T_lm L_lm`` over all lights: with transfer of diffuse reflection, what a white surface would send; spectrum.
 
-        `transfer_of(g, first, last)`: transfer vectors of light group g, lights `first` to `last` - 1. They carry no derivatives.
+        `transfer_of(g, lights)`: (coefficients, visible) of light group g, `lights` being the first and one past the last. Coefficients
+        come on top of the part `visible` of the exact unshadowed light, Lambert's formula, unless that is None. They carry no derivatives.
         """
-        def shading_of(g, first, last):
-            coeffs = [dr.detach(t) for t in transfer_of(g, first, last)]
+        def shading_of(g, lights):
+            coeffs, visible = dr.detach(transfer_of(g, lights))
             shade, shade_mesh = light_shader(coeffs, self._order, self._method), mesh_shader(coeffs, self._order, self._method)
-            return lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x)
+            return (lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x), visible)
 
         return self._sum(points, shading_of)
 
     def unshadowed(self, points: Points):
         """The same where nothing casts shadows on diffuse surfaces, to the band limit; follows the normals' derivatives."""
-        shading = lambda n: cosine_transfer(n, self._order), *self._unshadowed_shaders(points.n)
-        return self._sum(points, lambda g, first, last: shading)
-
-    def exact(self, points: Points):
-        """The same without a band limit: Lambert's formula for each facet."""
-        table = self._table
-        if table is None:
-            return self._spectrum(0)
-
-        def body(k, x, n):
-            irradiance = irradiance_shader(n)(table.facets.edges(k, x, points.active), x, table.facets.apex(k, x))
-            return table.radiance(k, points.wavelengths) * (irradiance * dr.inv_pi)
-
-        return self._each(body, mi.UInt32(0), mi.UInt32(table.count), mi.Point3f(points.p), mi.Normal3f(points.n))
+        shading = lambda n: cosine_transfer(n, self._order), *self._unshadowed_shaders(points.n), None
+        return self._sum(points, lambda g, lights: shading)
 
     def coefficients(self, points: Points, weigh=list, shadow_of=None) -> list:
         """SH coefficients of all lights at the points, for each of the floats that `weigh` makes of a radiance.
 
-        `shadow_of(g, first, last)`: for a light group, lights `first` to `last` - 1, a function that takes and gives such lists of
-        coefficients: what of the group's light arrives. It carries no derivatives.
+        `shadow_of(g, lights)`: for a light group, a function that takes and gives such lists of coefficients: what of the group's light
+        arrives. It carries no derivatives.
         """
         state, table, nodes, lit, wavelengths = self._state, self._table, self._nodes, points.active, points.wavelengths
         count, channels = (self._order + 1) ** 2, len(weigh(self._spectrum(0)))
@@ -106,17 +95,17 @@ class NearLights:
             if meshes:
                 light = each(mesh, light, *bounds(state.meshes), x)
             if shadow_of:
-                light = shadow_of(g, *bounds(state.groups))(light)
+                light = shadow_of(g, bounds(state.groups))(light)
             return g + 1, _added(total, light), x
 
         start = mi.UInt32(0), nothing(), mi.Point3f(points.p)
         return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
     def _sum(self, points: Points, shading_of):
-        """Sum over all lights. `shading_of(g, first, last)`: for a light group the transfer as a function of the normal, and the shaders,
-        for polygons and for meshes, that meet the group's lights with it.
+        """Sum over all lights. `shading_of(g, lights)`: for a light group the transfer as a function of the normal, the shaders, for
+        polygons and for meshes, that meet the group's lights with it, and the part of the exact light to add.
 
-        All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
+        All are given the normal, too: only unshadowed transfer and exact light follow it, and only from a loop's state come derivatives.
         """
         state, table, nodes, lit = self._state, self._table, self._nodes, points.active
         wavelengths, Spectrum = points.wavelengths, self._spectrum
@@ -124,9 +113,15 @@ class NearLights:
             return Spectrum(0)
         meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
 
+        def exact(k, x, n):
+            irradiance = irradiance_shader(n)(table.facets.edges(k, x, lit), x, table.facets.apex(k, x))
+            return table.radiance(k, wavelengths) * (irradiance * dr.inv_pi)
+
         def group_body(g, total, x, n):
             bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
-            transfer, shade, shade_mesh = shading_of(g, *bounds(state.groups))
+            transfer, shade, shade_mesh, visible = shading_of(g, bounds(state.groups))
+            if visible is not None:
+                total = total + self._each(exact, *bounds(state.facets), x, n) * visible
             if nodes is not None:
                 return g + 1, total + Spectrum(*nodes.shade(x, transfer(n), shade, g, lit, (n,))), x, n
 

@@ -86,6 +86,9 @@ def read_settings(props) -> Settings:
     value = {name: props.get(name, default) for name, default in asdict(Settings()).items()}
     value["order"] = check_order("shprt", value["order"])
     check_choice("shprt", "method", value["method"], METHODS)
+    for name in ("strict", "coefficients", "localised"):
+        if not isinstance(value[name], bool):
+            raise TypeError(message("shprt", name, "be true or false", value[name]))
     parts = parse_transfer("shprt", value["transfer"])
     check_choice("shprt", "transfer_domain", value["transfer_domain"], tuple(DEFAULT_SAMPLES))
     hint = "It is a number of rays; 0 chooses by transfer_domain."
@@ -100,6 +103,9 @@ def read_settings(props) -> Settings:
     hint = "It is the number of rays of each baked point that look for light from other surfaces."
     value["bounce_samples"] = check_integer("shprt", "bounce_samples", value["bounce_samples"], 1, 65536, hint)
     check_choice("shprt", "bounce_lighting", value["bounce_lighting"], ("gather", "transfer"))
+    if parts.interreflected and value["bounce_lighting"] == "transfer" and value["localised"]:
+        raise ValueError(message("shprt", "localised", "be false with bounce_lighting='transfer'", True,
+                                 "Localised transfer is of use at its own point only. Or choose 'gather'."))
     for name in ("visibility_order", "bsdf_order"):
         value[name] = check_order("shprt", value[name], name)
     if parts.glossy and mi.is_spectral:
@@ -124,9 +130,6 @@ def read_settings(props) -> Settings:
     if value["grid_resolution"] == "auto" and value["grid_error"] == 0:
         rule = "be above 0 with grid_resolution='auto', which chooses by it"
         raise ValueError(message("shprt", "grid_error", rule, value["grid_error"], "For instance 1e-3."))
-    for name in ("strict", "coefficients", "localised"):
-        if not isinstance(value[name], bool):
-            raise TypeError(message("shprt", name, "be true or false", value[name]))
     if not isinstance(value["transfer_file"], str):
         raise TypeError(message("shprt", "transfer_file", "be the path of a baked file", value["transfer_file"]))
     if value["transfer_file"]:

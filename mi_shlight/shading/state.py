@@ -17,8 +17,8 @@ from .glossy import Gloss
 class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
-    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "polygons", "meshes", "occluders", "table", "bake_lights", "lookup",
-                                  "grid", "distant", "bounces", "gloss"), object)
+    DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "facets", "polygons", "meshes", "occluders", "table", "bake_lights",
+                                  "lookup", "grid", "distant", "bounces", "gloss"), object)
 
     def __init__(self, scene, settings, seen: Fingerprint):
         self.seen = seen
@@ -39,10 +39,12 @@ class SceneState:
         bounds = light_groups(len(self.lights))
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
-        self.table = self.bake_lights = self.moving = self.polygons = self.meshes = self.lookup = self.grid = self.bounces = None
+        self.table = self.bake_lights = self.moving = self.facets = self.polygons = self.meshes = None
+        self.lookup = self.grid = self.bounces = None
         if self.lights:
             self.table = LightTable(self.lights)
-            # bounds of each group among the polygons and the lights of triangles
+            # bounds of each group among the facets, the polygons and the lights of triangles
+            self.facets = aligned(mi.UInt32, self.table.first_facet[bounds])
             self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
             self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
             self.bake_lights = BakeLights(self.lights, 0.0)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -12,20 +13,20 @@ from .. import __version__
 from ..errors import UnsupportedSceneWarning, check_choice, check_integer, check_number, message
 from ..scene import aligned, mesh_arrays, occluder_hash, polygon_lights, receivers
 from ..sh.basis import check_order
-from .mesh import MAX_POINTS, MAX_SUBDIVISION, automatic_edge, refine, spread_to_buried, subdivision_of
+from .localised import KINDS, cone_fit, sample_transfer
+from .mesh import MAX_POINTS, MAX_SUBDIVISION, automatic_edge, contacts, refine, spread_to_buried, subdivision_of
 from .store import MeshBlock, Transfer
-from .visibility import MAX_GROUPS, BakeLights, Occluders, inside_a_body, light_groups, shadowed_transfer
+from .visibility import MAX_GROUPS, BakeLights, LightSight, Occluders, SkySight, inside_a_body, light_groups
 
 ROWS_PER_LAUNCH = 8192
 
 
-def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: int = 1024, *, max_edge: float = 0.0,
-                  light_margin: float = 0.0, progress=False) -> Transfer:
-    """Bake diffuse shadowed transfer at the (refined) vertices of every mesh in a Mitsuba scene.
+def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: int = 1024, *, localised: bool = True,
+                  max_edge: float = 0.0, light_margin: float = 0.0, progress=False) -> Transfer:
+    """Bake transfer at the (refined) vertices of every mesh in a Mitsuba scene.
 
     For each baked point, side and light group the coefficients of ``T(omega) = V(omega) max(0, n . omega) / pi`` ([W18] section
-    3.1, [G03] shadowed diffuse transfer) are estimated with `samples` cosine-distributed rays and the analytic cosine as
-    control variate. ``V`` asks whether something lies between the point and the lights
+    3.1, [G03] shadowed diffuse transfer) are found with `samples` rays. ``V`` asks whether something lies between the point and the lights
     (:py:mod:`mi_shlight.transfer.visibility`), so closed rooms work.
 
     Parameters
@@ -35,21 +36,27 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     order : int
         Highest degree, 0 to 64.
     transfer : str
-        ``"shadowed"``. (Unshadowed transfer is analytic and needs no bake.)
+        ``"shadowed"``; ``"exact"``: only how T differs from its mean visibility v times the cosine, to be added to v times the exact
+        unshadowed radiance; ``"visibility"``: 1 - V, for glossy surfaces. (Unshadowed transfer is analytic and needs no bake.)
     samples : int
-        Rays per baked point, 1 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
+        Rays per baked point and light group, 1 to 65536. The noise of a penumbra falls like 1/sqrt(samples) or faster.
+    localised : bool
+        Fit T to the directions from which the lights of a group are seen, or may be seen after they have moved by `light_margin`
+        (:py:mod:`mi_shlight.transfer.localised`), in place of a projection over the sphere; many times more accurate. Such a
+        bake is of use at its own `order` only. Of no effect for lights all around, at order 0 and beyond 20.
     max_edge : float
         Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers'
         bounding box. An edge is cut into at most 256 parts; a warning tells where that is not enough.
     light_margin : float
         Distance, in scene units, by which lights may move before the bake is stale. Visibility is then resolved in the grown
-        neighbourhood of each light.
+        neighbourhood of each light, and as well there: a wide margin costs accuracy.
     progress : bool or callable
         True: a line on standard error. A callable is called with (points done, points in all).
 
     Returns
     -------
     Transfer
+        If the scene has a light at an infinite distance (``constant``, ``envmap``), with one more light group for that.
 
     Raises
     ------
@@ -62,40 +69,61 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
         raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene,
                                 "Load it with mi.load_file(path, optimize=False)."))
     order = check_order(name, order)
-    check_choice(name, "transfer", transfer, ("shadowed",), "Unshadowed transfer is analytic: use it directly in 'shprt'.")
+    check_choice(name, "transfer", transfer, KINDS, "Unshadowed transfer is analytic: use it directly in 'shprt'.")
     samples = check_integer(name, "samples", samples, 1, 65536, "It is the number of rays per baked point.")
     max_edge = check_number(name, "max_edge", max_edge, 0, hint="It is a length in scene units; 0 chooses automatically.")
     light_margin = check_number(name, "light_margin", light_margin, 0, hint="It is a length in scene units.")
+    if not isinstance(localised, bool):
+        raise TypeError(message(name, "localised", "be True or False", localised))
     if not (isinstance(progress, bool) or callable(progress)):
         raise TypeError(message(name, "progress", "be True, False or a callable (done, total)", progress))
-    return trace_transfer(scene, polygon_lights(scene), receivers(scene), order, samples, max_edge, light_margin, progress)
+    return trace_transfer(scene, polygon_lights(scene), receivers(scene), order, samples, max_edge, light_margin, progress, transfer,
+                          localised, scene.environment() is not None)
 
 
-def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max_edge: float, light_margin: float,
-                   progress) -> Transfer:
-    """:py:func:`bake_transfer` for the lights and receivers already found in `scene`; arguments are not checked."""
+def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max_edge: float, light_margin: float, progress,
+                   kind: str = "shadowed", localised: bool = True, distant: bool = False) -> Transfer:
+    """:py:func:`bake_transfer` for the lights and receivers already found in `scene`; arguments are not checked.
+
+    `distant`: bake a last group for lights at an infinite distance. There may be no other `lights`.
+    """
     report = _printer() if progress is True else progress or (lambda done, total: None)
     baked = [r for r in lit if r.baked]
     max_edge = max_edge or _automatic_edge(lit)
     groups = np.array(light_groups(len(lights)))
     _check_size(baked, max_edge)
     with dr.suspend_grad():
-        points, positions, normals = _bake_points(baked, max_edge)
-        floats = len(positions) * (len(groups) - 1) * (order + 1) ** 2
+        points = _bake_points(baked, max_edge)
+        count = len(groups) - 1 + distant
+        floats = len(points.positions) * count * (order + 1) ** 2
         if floats >= 2 ** 32:                         # the look-up counts them in 32 bits
             raise ValueError(message("bake_transfer", "max_edge", "leave less than 2^32 coefficients to bake", max_edge,
-                                     f"{len(positions)} points, {len(groups) - 1} light groups and order {order} make {floats}. Choose a "
+                                     f"{len(points.positions)} points, {count} light groups and order {order} make {floats}. Choose a "
                                      "longer edge, a lower order, or transfer_domain='pixel'."))
-        coeffs, visibility, conflict = _trace(Occluders(scene, lights), BakeLights(lights, light_margin), groups, positions, normals,
-                                              order, samples, report)
-        _clean_contacts(scene, points, positions, normals, coeffs, visibility)
+        fit, sights = cone_fit(order, samples) if localised else None, []
+        if lights:
+            occluders, bake_lights = Occluders(scene, lights), BakeLights(lights, light_margin)
+        for first, last in zip(groups[:-1], groups[1:]):
+            group = mi.UInt32(int(first)), mi.UInt32(int(last))
+            dr.make_opaque(group)
+            sights.append((LightSight(occluders, bake_lights, group), kind, fit))
+        if distant:
+            sights.append((SkySight(scene), "shadowed" if kind == "exact" else kind, None))
+        buried = _buried(scene, points)
+        traced = _trace(sights, points, order, samples, report)
+        buried &= (traced.visibility == 0).all(axis=0)
+        for mesh, side in points.sides():
+            for values in (traced.coeffs, traced.visibility[..., None]):
+                spread_to_buried(mesh, buried[side], values[:, side])
+    conflict = float(traced.conflict.max(initial=0))
     if conflict > 1e-3:
         warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other "
                       f"with an occluder between; more than {MAX_GROUPS} lights share one visibility, so the farther light shines "
                       "through there.", UnsupportedSceneWarning, stacklevel=3)
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
-    return Transfer(order, "shadowed", samples, coeffs, visibility, groups, [light.outline for light in lights], light_margin,
-                    max_edge, conflict, [block for block, _ in points], occluder_hash(scene), versions)
+    return Transfer(order, kind, fit is not None, distant, samples, traced.coeffs, traced.visibility, traced.variance, groups,
+                    [light.outline for light in lights], light_margin, max_edge, conflict, [block for block, _ in points.blocks],
+                    occluder_hash(scene), versions)
 
 
 def _automatic_edge(lit: list) -> float:
@@ -129,9 +157,28 @@ def _check_size(baked: list, max_edge: float) -> None:
                       "use transfer_domain='pixel'.", UnsupportedSceneWarning, stacklevel=4)
 
 
-def _bake_points(baked: list, max_edge: float) -> tuple:
-    """[(block, refined mesh)], positions (R, 3) and normals (R, 3) of all baked points."""
-    blocks, positions, normals, row = [], [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.float32)], 0
+class BakePoints(NamedTuple):
+    """All points of a bake."""
+
+    blocks: list
+    """(block, refined mesh) of each mesh."""
+    positions: np.ndarray
+    """(R, 3)"""
+    normals: np.ndarray
+    """(R, 3)"""
+    cells: np.ndarray
+    """(R,): how far away the transfer of a point may be used."""
+
+    def sides(self):
+        """(refined mesh, rows of one side as a slice) of all meshes."""
+        for block, mesh in self.blocks:
+            for side in range(1 + block.two_sided):
+                yield mesh, slice(block.first_row + side * block.row_count, block.first_row + (side + 1) * block.row_count)
+
+
+def _bake_points(baked: list, max_edge: float) -> BakePoints:
+    none = np.zeros((0, 3), np.float32)
+    blocks, positions, normals, cells, row = [], [none], [none], [none[:, 0]], 0
     for receiver in baked:
         faces, vertices, vertex_normals, side = mesh_arrays(receiver.shape)
         mesh = refine(faces, vertices, vertex_normals, max_edge, side)
@@ -140,57 +187,64 @@ def _bake_points(baked: list, max_edge: float) -> tuple:
         blocks.append((block, mesh))
         positions += [mesh.positions] * (1 + receiver.two_sided)
         normals += [mesh.normals, -mesh.normals][:1 + receiver.two_sided]
+        cells += [mesh.cells] * (1 + receiver.two_sided)
         row += count * (1 + receiver.two_sided)
-    return blocks, np.concatenate(positions), np.concatenate(normals)
+    return BakePoints(blocks, *map(np.concatenate, (positions, normals, cells)))
 
 
-def _trace(occluders, lights, groups, positions, normals, order: int, samples: int, report) -> tuple:
-    """Coefficients (G, R, N), visibility (G, R) and the largest conflict over all points."""
-    count, rows = (order + 1) ** 2, len(positions)
-    coeffs = np.empty((len(groups) - 1, rows, count), np.float32)
-    visibility = np.empty((len(groups) - 1, rows), np.float32)
-    conflict, total = 0.0, rows * (len(groups) - 1)
-    for g in range(len(groups) - 1):
-        group = mi.UInt32(int(groups[g])), mi.UInt32(int(groups[g + 1]))
-        dr.make_opaque(group)
-        for begin in range(0, rows, ROWS_PER_LAUNCH):
-            part = slice(begin, min(begin + ROWS_PER_LAUNCH, rows))
-            p, n = _points(mi.Point3f, positions[part]), _points(mi.Normal3f, normals[part])
-            shift = _hashed_shift(begin, part.stop - begin)
-            t, v, c = shadowed_transfer(occluders, lights, group, p, n, order, samples, shift)
-            dr.eval(t, v, c)
-            for i in range(count):
-                coeffs[g, part, i] = np.array(t[i])
-            visibility[g, part] = np.array(v)
-            conflict = max(conflict, float(np.max(np.array(c), initial=0.0)))
-            report(g * rows + part.stop, total)
-    return coeffs, visibility, conflict
+def _buried(scene, points: BakePoints) -> np.ndarray:
+    """Mask (R,) of the points inside solid bodies. The cells of those that will stand in for them grow by the way to them."""
+    rows = len(points.positions)
+    buried = np.empty(rows, bool)
+    for part in _launches(rows):
+        p, n = _points(mi.Point3f, points.positions[part]), _points(mi.Normal3f, points.normals[part])
+        buried[part] = np.array(inside_a_body(scene, p, n))
+    for mesh, side in points.sides():
+        points.cells[side][contacts(mesh, buried[side])[:, 1]] *= 2
+    return buried
 
 
-def _clean_contacts(scene, points, positions, normals, coeffs, visibility) -> None:
-    """Replace the transfer of points inside solid bodies by that of their visible neighbours, in place."""
-    dark = np.flatnonzero((visibility == 0).all(axis=0))
-    if len(dark) == 0:
-        return
-    found = inside_a_body(scene, _points(mi.Point3f, positions[dark]), _points(mi.Normal3f, normals[dark]))
-    buried = np.zeros(len(positions), bool)
-    buried[dark] = np.array(found)
-    for block, mesh in points:
-        for side in range(1 + block.two_sided):
-            rows = slice(block.first_row + side * block.row_count, block.first_row + (side + 1) * block.row_count)
-            spread_to_buried(mesh, buried[rows], coeffs[:, rows])
+class Traced(NamedTuple):
+    """What rays have found, for all groups and points, and the largest conflict at any."""
+
+    coeffs: np.ndarray
+    visibility: np.ndarray
+    variance: np.ndarray
+    conflict: np.ndarray
+
+
+def _trace(sights: list, points: BakePoints, order: int, samples: int, report) -> Traced:
+    """Trace all points for each group; `sights`: (sight, kind, fit) of each."""
+    rows, size = len(points.positions), (order + 1) ** 2
+    traced = Traced(*(np.empty((len(sights), rows, *shape), np.float32) for shape in ((size,), (), (), ())))
+    for g, (sight, kind, fit) in enumerate(sights):
+        for part in _launches(rows):
+            p, n = _points(mi.Point3f, points.positions[part]), _points(mi.Normal3f, points.normals[part])
+            found = sample_transfer(sight, p, n, order, samples, _hashed_shift(part), kind=kind, fit=fit,
+                                    cell=aligned(mi.Float, points.cells[part]))
+            dr.eval(*found)                           # Dr.Jit does not look into named tuples
+            for i in range(size):
+                traced.coeffs[g, part, i] = np.array(found.coeffs[i])
+            for table, values in zip(traced[1:], found[1:]):
+                table[g, part] = np.array(values)
+            report(g * rows + part.stop, rows * len(sights))
+    return traced
+
+
+def _launches(rows: int) -> list:
+    """Slices of the points that are traced together."""
+    return [slice(begin, min(begin + ROWS_PER_LAUNCH, rows)) for begin in range(0, rows, ROWS_PER_LAUNCH)]
 
 
 def _points(kind, rows: np.ndarray):
     return dr.gather(kind, aligned(mi.Float, rows.ravel()), dr.arange(mi.UInt32, len(rows)))
 
 
-def _hashed_shift(begin: int, count: int):
-    """A reproducible shift of the direction set for each point, so that neighbours' errors are independent."""
-    sequence = mi.UInt64(begin)
+def _hashed_shift(part: slice):
+    """Reproducible numbers in [0, 1), one for each point, so that neighbours' errors are independent."""
+    sequence = mi.UInt64(part.start)
     dr.make_opaque(sequence)                          # a literal would be compiled into the kernel of each launch
-    generator = mi.PCG32(size=count, initstate=0x5EED, initseq=sequence)
-    return mi.Point2f(generator.next_float32(), generator.next_float32())
+    return mi.PCG32(size=part.stop - part.start, initstate=0x5EED, initseq=sequence).next_float32()
 
 
 def _printer():

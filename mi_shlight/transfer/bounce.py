@@ -20,8 +20,8 @@ import numpy as np
 from ..errors import message
 from ..scene import aligned, keep_quiet, mesh_arrays, receivers, shape_index
 from .bake import ROWS_PER_LAUNCH
-from .mesh import _contacts, refine
-from .visibility import GOLDEN, _lifted
+from .mesh import contacts, refine
+from .visibility import GOLDEN, lifted
 
 REFLECTANCE_SAMPLES = 16
 """Points of the cells around a baked point over which its reflectance is averaged."""
@@ -122,7 +122,7 @@ class Gather:
     table : UInt32
         Row that ray k of row r meets, at ``k * count + r``; `count` where it meets nothing that reflects.
     stand_in : UInt32
-        For each row the one whose values it shows; another one inside bodies.
+        For each row the one whose values it shows: another one inside bodies and behind walls.
     count, samples : int
         Rows R and rays per row M. The table takes ``4 R M`` bytes.
     """
@@ -229,8 +229,9 @@ def trace_bounces(scene, lookup, points: BakedPoints, samples: int, progress=Non
 
     Notes
     -----
-    Points inside solid bodies, all of whose rays end on the back of a surface, are seen from outside through interpolation only. A
-    neighbour outside stands in for them, as in :py:func:`mi_shlight.transfer.mesh.spread_to_buried` for the transfer.
+    Points within bodies or behind walls, whose rays end on backs of surfaces or escape, and never end on a front, are seen through
+    interpolation only. A neighbour in front stands in for them, as :py:func:`mi_shlight.transfer.mesh.spread_to_buried` does for the
+    transfer.
     """
     if points.count * samples >= 2 ** 32:
         raise ValueError(message("trace_bounces", "samples", "leave less than 2^32 rays to store", samples,
@@ -263,10 +264,10 @@ def bounced_at(scene, lookup, sent_by, p, n, samples: int, shift, active):
         Shift of the direction set, in [0, 1)^3.
     """
     zero = mi.unpolarized_spectrum(mi.Spectrum(0))
-    frame, origin = mi.Frame3f(dr.detach(n)), _lifted(dr.detach(p), dr.detach(n))
+    frame, origin = mi.Frame3f(dr.detach(n)), lifted(dr.detach(p), dr.detach(n))
 
     def body(k, total, origin, frame, shift):
-        rows, weights, met, _ = _hit_rows(scene, lookup, origin, _direction(frame, k, samples, shift), active)
+        rows, weights, met, *_ = _hit_rows(scene, lookup, origin, _direction(frame, k, samples, shift), active)
         return k + 1, total + (sent_by(rows, weights, met) & met), origin, frame, shift
 
     last = dr.select(active, mi.UInt32(samples), 0)
@@ -316,30 +317,30 @@ def solve_bounces(gather: Gather, direct, reflectance, channels: int, bounces: i
 
 
 def _trace_rows(scene, lookup, points, samples: int, count, row, table, sealed) -> None:
-    """Fill in the hits of some rows, and clear `sealed` where a ray escapes or ends on the front of a surface."""
+    """Fill in the hits of some rows, and clear `sealed` where a ray ends on the front of a surface, or none on a back."""
     sequence = dr.opaque(mi.UInt64, int(row[0]))
     generator = mi.PCG32(size=len(row), initstate=0xB0CE, initseq=sequence)
     shift = mi.Point3f(*(generator.next_float32() for _ in range(3)))
     n = dr.gather(mi.Normal3f, dr.ravel(points.normals), row)
-    frame, origin = mi.Frame3f(n), _lifted(dr.gather(mi.Point3f, dr.ravel(points.positions), row), n)
+    frame, origin = mi.Frame3f(n), lifted(dr.gather(mi.Point3f, dr.ravel(points.positions), row), n)
 
-    def body(k, inside, row, origin, frame, shift):
-        rows, weights, met, back = _hit_rows(scene, lookup, origin, _direction(frame, k, samples, shift), True)
+    def body(k, no_front, no_back, row, origin, frame, shift):
+        rows, weights, met, front, back = _hit_rows(scene, lookup, origin, _direction(frame, k, samples, shift), True)
         choice = _fraction(mi.Float(k) * ROOT_2 + shift.z)
         chosen = dr.select(choice < weights[0], rows[0], dr.select(choice < weights[0] + weights[1], rows[1], rows[2]))
         dr.scatter(table, chosen, k * count + row, met)
-        return k + 1, inside & back, row, origin, frame, shift
+        return k + 1, no_front & ~front, no_back & ~back, row, origin, frame, shift
 
     last = dr.opaque(mi.UInt32, samples)
-    state = mi.UInt32(0), mi.Bool(True), row, origin, frame, shift
-    inside = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic")[1]
-    dr.scatter(sealed, dr.select(inside, mi.UInt32(1), 0), row)
+    state = mi.UInt32(0), mi.Bool(True), mi.Bool(True), row, origin, frame, shift
+    _, no_front, no_back, *_ = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic")
+    dr.scatter(sealed, dr.select(no_front & ~no_back, mi.UInt32(1), 0), row)
     dr.eval(table, sealed)
 
 
 def _hit_rows(scene, lookup, origin, d, active) -> tuple:
-    """(rows, weights, met, back): the baked points around what a ray meets, whether that side of it reflects, and whether it is the
-    back of a face.
+    """(rows, weights, met, front, back): the baked points around what a ray meets, whether that side of it reflects, and whether it is
+    the front or the back of a face.
     """
     ray = mi.Ray3f(origin, d)
     pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
@@ -347,7 +348,8 @@ def _hit_rows(scene, lookup, origin, d, active) -> tuple:
     behind = mi.Frame3f.cos_theta(si.wi) <= 0
     rows, weights, baked = lookup.rows_at(pi, si.shape, behind, active & si.is_valid())
     two_sided = dr.gather(mi.UInt32, lookup.back, dr.reinterpret_array(mi.UInt32, si.shape), baked) > 0
-    return rows, weights, baked & (two_sided | ~behind), si.is_valid() & (dr.dot(si.n, d) > 0)
+    back = dr.dot(si.n, d) > 0
+    return rows, weights, baked & (two_sided | ~behind), si.is_valid() & ~back, si.is_valid() & back
 
 
 def _direction(frame, k, samples: int, shift):
@@ -362,10 +364,10 @@ def _fraction(value):
 
 
 def _stand_ins(points, sealed: np.ndarray) -> np.ndarray:
-    """For each row the one to take in its place: itself, or for points inside bodies a neighbour outside."""
+    """For each row the one to take in its place: itself, or for a sealed one a neighbour that is not, if there is one."""
     rows = np.arange(points.count)
     for first, mesh in points.meshes:
-        pairs = _contacts(mesh, sealed[first:first + len(mesh.positions)])
+        pairs = contacts(mesh, sealed[first:first + len(mesh.positions)])
         target, start = np.unique(pairs[:, 0], return_index=True)
         rows[first + target] = first + pairs[start, 1]
     return rows

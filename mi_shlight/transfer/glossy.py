@@ -174,31 +174,31 @@ def look_at(bsdf, side: int, diffuse: bool) -> Reflection:
     diffuse : bool
         Whether its diffuse reflectance is worth asking for.
     """
-    count = 512
-    u = [(0.5 + np.arange(count) * step) % 1 for step in (0.8566748838545, 0.7338918566271, 0.6287067210378, 0.5385972572236)]    # R4 sequence
-    polar, turn = [0.05 + 0.95 * u[0], 0.05 + 0.95 * u[1]], [2 * math.pi * u[2], 2 * math.pi * u[3]]
+    count = 256
+    u = np.array([(0.5 + np.arange(count) * step) % 1 for step in (0.8566748838545, 0.7338918566271, 0.6287067210378, 0.5385972572236)])
+    polar, turn = 0.05 + 0.95 * u[:2], 2 * math.pi * u[2:]
+    # pairs at random, and pairs of mirror directions, so that no gloss is overlooked
+    polar, turn = np.stack([polar, polar[[0, 0]]], axis=1).reshape(2, -1), np.stack([turn, turn[[0, 0]] + [[0], [math.pi]]], axis=1).reshape(2, -1)
+    uv = mi.Point2f(*(aligned(mi.Float, np.tile(part, 2)) for part in u[:2]))
 
-    def directions(extra):
-        vectors = (np.stack([np.sqrt(1 - z * z) * np.cos(a + extra), np.sqrt(1 - z * z) * np.sin(a + extra), z]) for z, a in zip(polar, turn))
-        return [mi.Vector3f(*(aligned(mi.Float, row) for row in v)) for v in vectors]
-
-    def sampled(extra=0.0):
-        viewer, omega = directions(extra)
-        return [np.array(v + dr.zeros(mi.Float, count)).reshape(-1, count) for v in _evaluate(bsdf, side, viewer, omega, mi.Point2f(0.5, 0.5), diffuse)]
+    def sampled(extra):
+        sin, x, y = np.sqrt(1 - polar * polar), np.cos(turn + extra), np.sin(turn + extra)
+        viewer, omega = (mi.Vector3f(*(aligned(mi.Float, row) for row in rows)) for rows in np.stack([sin * x, sin * y, polar], axis=1))
+        values = _evaluate(bsdf, side, viewer, omega, uv, diffuse)
+        return [np.array(v + dr.zeros(mi.Float, 2 * count)).reshape(-1, 2 * count) for v in values]
 
     with dr.suspend_grad():
-        value, lambertian = sampled()
-        turned = sampled(1.0)[0]
+        value, lambertian = sampled(0)
+        turned = sampled(1)[0]
     largest = np.abs(value).max(initial=0)
     if not np.isfinite(value).all() or not np.isfinite(lambertian).all():
         return Reflection(float(diffuse), False, "it cannot be evaluated apart from a surface; only its diffuse reflectance is rendered.")
     if np.abs(turned - value).max() > TOLERANCE * largest:
         return Reflection(float(diffuse), False, "it is anisotropic, which is not modelled; its gloss is left out.")
-    base = lambertian.sum(axis=0)
-    share = 0.0
-    if diffuse and base.max() > 0:
-        # of most pairs of directions: those that see the gloss are few, unless all is gloss
-        share = float(np.clip(np.median(value.sum(axis=0)[base > 0] / base[base > 0]), 0, 1))
+    base, share = lambertian.sum(axis=0)[:count], 0.0
+    if base.max() > 0:
+        # what most pairs have: those that see the gloss are few, unless all is gloss
+        share = float(np.clip(np.median(value.sum(axis=0)[:count][base > 0] / base[base > 0]), 0, 1))
     rest = np.abs(value - share * lambertian).max() > TOLERANCE * largest
     return Reflection(share, bool(rest), None)
 
@@ -222,7 +222,7 @@ def _evaluate(bsdf, side: int, viewer, omega, uv, diffuse: bool) -> tuple:
     si.wi, si.uv, si.n = turned(viewer), uv, mi.Normal3f(0, 0, 1)
     si.dp_du, si.dp_dv, si.sh_frame = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Frame3f(mi.Normal3f(0, 0, 1))
     si.t = mi.Float(1)
-    value = mi.unpolarized_spectrum(bsdf.eval(mi.BSDFContext(), si, turned(omega)))
+    value = mi.unpolarized_spectrum(bsdf.eval(mi.BSDFContext(), si, turned(omega), True))
     if not diffuse:
         return value, type(value)(0)
-    return value, mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si)) * (omega.z * dr.inv_pi)
+    return value, mi.unpolarized_spectrum(bsdf.eval_diffuse_reflectance(si, True)) * (omega.z * dr.inv_pi)

@@ -25,6 +25,8 @@ class BakeMesh:
     positions, normals : ndarray (R, 3), float32
         Baked points of the front side. Points on the rim of a face are pulled inwards by 5 % of a cell, so that rays from the
         edge between two walls do not start in the other wall.
+    cells : ndarray (R,), float32
+        Longest edge of the cells around each point: how far away its transfer may be used.
     subdivision : ndarray (F,), uint32
         k of each face.
     first : ndarray (F,), uint32
@@ -35,6 +37,7 @@ class BakeMesh:
 
     positions: np.ndarray
     normals: np.ndarray
+    cells: np.ndarray
     subdivision: np.ndarray
     first: np.ndarray
     rows: np.ndarray
@@ -94,7 +97,9 @@ def refine(faces: np.ndarray, positions: np.ndarray, normals, max_edge: float, s
     shared = np.bincount(rows, minlength=len(index))[:, None]
     inwards = np.stack([np.bincount(rows, column, len(index)) for column in pulls.T], axis=1) / shared
     inwards -= directions * (inwards * directions).sum(axis=1, keepdims=True)
-    return BakeMesh((points + RIM * inwards).astype(np.float32), directions.astype(np.float32), subdivision,
+    cells = np.zeros(len(index), np.float32)
+    np.maximum.at(cells, rows, np.repeat(longest / subdivision, sizes))
+    return BakeMesh((points + RIM * inwards).astype(np.float32), directions.astype(np.float32), cells, subdivision,
                     first[:-1].astype(np.uint32), rows.astype(np.uint32))
 
 
@@ -105,9 +110,7 @@ def spread_to_buried(mesh: BakeMesh, buried: np.ndarray, values: np.ndarray) -> 
     this dark out to the visible side, a halo one cell wide around the contact; extrapolating from the visible side removes it.
     Buried points with no such neighbour are never seen and stay.
     """
-    if not buried.any():
-        return
-    pairs = _contacts(mesh, buried)
+    pairs = contacts(mesh, buried)
     targets, slot = np.unique(pairs[:, 0], return_inverse=True)
     count = np.bincount(slot)
     for index in np.ndindex(values.shape[:-2]):
@@ -116,9 +119,11 @@ def spread_to_buried(mesh: BakeMesh, buried: np.ndarray, values: np.ndarray) -> 
         values[index][targets] = total / count[:, None]
 
 
-def _contacts(mesh: BakeMesh, buried: np.ndarray) -> np.ndarray:
+def contacts(mesh: BakeMesh, buried: np.ndarray) -> np.ndarray:
     """Pairs (P, 2) of a buried and a visible row that are neighbours in some face's grid, each pair once."""
     pairs = [np.zeros((0, 2), np.int64)]
+    if not buried.any():
+        return pairs[0]
     for k in np.unique(mesh.subdivision):
         number = {(i, j): g for g, (i, j) in enumerate((i, j) for j in range(k + 1) for i in range(int(k) + 1 - j))}
         local = np.array([(g, number[i + di, j + dj]) for (i, j), g in number.items()

@@ -15,8 +15,8 @@ from ..files import check_output, replacing
 from ..scene import aligned, keep_quiet, occluder_hash, receivers, shape_index
 
 FORMAT = "mi_shlight transfer"
-FORMAT_VERSION = 1
-SCALARS = ("order", "transfer", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions")
+FORMAT_VERSION = 2
+SCALARS = ("order", "transfer", "localised", "distant", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions")
 
 
 @dataclass
@@ -44,16 +44,25 @@ class Transfer:
     Attributes
     ----------
     order : int
-        Highest degree.
+        Highest degree. A localised bake is of use at this order only: without its higher bands nothing holds the lower ones.
     transfer : str
-        ``"shadowed"``.
+        What `coeffs` are: ``"shadowed"``, ``"exact"`` or ``"visibility"``.
+    localised : bool
+        True if they are fitted to the directions of the lights, False if they are projected over the sphere.
+    distant : bool
+        True if one more group, after those of `groups`, is for lights at an infinite distance: its V is that a ray leaves the scene. Its
+        coefficients are projected, and with ``"exact"`` they are those of ``"shadowed"``.
     samples : int
-        Rays per point.
+        Rays per point and group.
     coeffs : ndarray (G, R, (order + 1)**2), float32
-        SH coefficients in 1/sr of ``V max(0, n . omega) / pi`` for each light group and baked point.
+        SH coefficients for each light group and baked point: in 1/sr of ``V max(0, n . omega) / pi`` if `transfer` is ``"shadowed"``; of
+        ``(V - v) max(0, n . omega) / pi``, with v from `visibility`, if it is ``"exact"``; of 1 - V if it is ``"visibility"``.
     visibility : ndarray (G, R), float32
-        Cosine-weighted mean of V, 0 to 1.
-    groups : ndarray (G + 1,)
+        Cosine-weighted mean of V over the directions looked at, 0 to 1.
+    variance : ndarray (G, R), float32
+        Estimated variance of `visibility`, which is that of a point's irradiance relative to the unshadowed one
+        (:py:class:`mi_shlight.transfer.localised.Sampled`).
+    groups : ndarray
         Light group g holds the lights ``groups[g] .. groups[g + 1] - 1`` in the scene's order. Up to four lights have a group
         each.
     outlines : list of ndarray (E, 2, 3)
@@ -74,9 +83,12 @@ class Transfer:
 
     order: int
     transfer: str
+    localised: bool
+    distant: bool
     samples: int
     coeffs: np.ndarray = field(repr=False)
     visibility: np.ndarray = field(repr=False)
+    variance: np.ndarray = field(repr=False)
     groups: np.ndarray
     outlines: list = field(repr=False)
     light_margin: float
@@ -99,7 +111,7 @@ class Transfer:
                   "lights": len(self.outlines),
                   "meshes": [{k: v for k, v in asdict(b).items() if not isinstance(v, np.ndarray)} for b in self.meshes]}
         arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), "coeffs": self.coeffs,
-                  "visibility": self.visibility, "groups": self.groups}
+                  "visibility": self.visibility, "variance": self.variance, "groups": self.groups}
         for i, outline in enumerate(self.outlines):
             arrays[f"outline_{i}"] = outline
         for i, block in enumerate(self.meshes):
@@ -160,11 +172,13 @@ def load_transfer(path) -> Transfer:
                       for i, block in enumerate(header["meshes"])]
             outlines = [data[f"outline_{i}"] for i in range(header["lights"])]
             scalars = {name: header[name] for name in SCALARS}
-            result = Transfer(**scalars, coeffs=data["coeffs"], visibility=data["visibility"], groups=data["groups"],
-                              outlines=outlines, meshes=meshes)
-        shape = (len(result.groups) - 1, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
+            result = Transfer(**scalars, coeffs=data["coeffs"], visibility=data["visibility"], variance=data["variance"],
+                              groups=data["groups"], outlines=outlines, meshes=meshes)
+        shape = (len(result.groups) - 1 + result.distant, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
         if result.coeffs.shape != shape:
             raise ValueError(f"coefficients of shape {result.coeffs.shape} where {shape} is due")
+        if result.visibility.shape != shape[:2] or result.variance.shape != shape[:2]:
+            raise ValueError(f"visibility of shape {result.visibility.shape} where {shape[:2]} is due")
         for block in meshes:
             points = (block.subdivision.astype(np.int64) + 1) * (block.subdivision.astype(np.int64) + 2) // 2
             if (not np.array_equal(block.first, np.cumsum(points) - points) or len(block.rows) != points.sum()
@@ -179,13 +193,13 @@ def load_transfer(path) -> Transfer:
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
-    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "row_count"), object)
+    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "means", "row_count"), object)
 
     def __init__(self, transfer: Transfer, scene):
         blocks = {block.content: block for block in transfer.meshes}
         shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in receivers(scene, keep_quiet) if r.baked]
         size = 1 + max([shape_index(s) for s in scene.shapes()], default=0)
-        self.size = size
+        self.size, self.kind = size, transfer.transfer
         baked, first_face, back = np.zeros(size, bool), np.zeros(size, np.uint32), np.zeros(size, np.uint32)
         subdivision, first, rows = [], [], []
         faces = points = 0
@@ -203,6 +217,7 @@ class TransferLookup:
         self.baked, self.first_face, self.back = (aligned(mi.UInt32, table) for table in (baked, first_face, back))
         self.subdivision, self.first, self.rows = join(subdivision), join(first), join(rows)
         self.coeffs = aligned(mi.Float, transfer.coeffs.ravel() if transfer.coeffs.size else np.zeros(transfer.coeffs.shape[2]))
+        self.means = aligned(mi.Float, transfer.visibility.ravel() if transfer.visibility.size else np.zeros(1))
         self.count, self.row_count = transfer.coeffs.shape[2], mi.UInt32(transfer.coeffs.shape[1])
         dr.make_opaque(self.row_count)                # a literal would compile the kernels of a picture anew for each bake
 
@@ -240,3 +255,8 @@ class TransferLookup:
         for b, w in zip(base, weights):
             value = [dr.fma(dr.gather(mi.Float, self.coeffs, b + c, valid), w, t) for c, t in enumerate(value)]
         return value
+
+    def visibility(self, rows, weights, valid, group):
+        """Interpolated mean visibility of light group `group`, 0 to 1."""
+        values = [dr.gather(mi.Float, self.means, row + group * self.row_count, valid) for row in rows]
+        return sum((value * weight for value, weight in zip(values, weights)), mi.Float(0))

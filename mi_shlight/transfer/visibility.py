@@ -1,20 +1,23 @@
-"""Diffuse shadowed transfer at a point, for lights that stand inside the scene.
+"""What a point sees of lights that stand inside the scene, and of those outside.
 
 The papers' visibility is a property of the receiver alone, "does a ray leave the scene". In a closed room every ray hits a
 wall; what is meant is whether anything lies between the point and the light. So a light's own shape never occludes it, and a
 hit counts only if it is nearer than the light in that direction.
 
-Directions that miss every light are free: the light there is zero, but they enter the projection to spherical harmonics. Their
-visibility is taken from the nearest direction that does hit a light (for a light grown by a margin within which it may move).
-So the visibility is constant wherever a point sees all of its lights, or none: there the transfer is exact up to the band limit
-of the cosine, with no ringing from walls, from the ceiling behind a light or from distant silhouettes; only the silhouettes
-that cross the light itself remain. The part of a light below the receiver's horizon is left to the clamped cosine: a point
-whose lights are all below its horizon gets a zero transfer.
+Directions that miss every light are free: the light there is zero, but they enter the spherical harmonics. Their visibility is
+taken from the nearest direction that does hit a light (for a light grown by a margin within which it may move). So the
+visibility is constant wherever a point sees all of its lights, or none: only the silhouettes that cross the light itself remain,
+and not those of walls, of the ceiling behind a light or of distant objects. The part of a light below the receiver's horizon is left
+to the clamped cosine: a point whose lights are all below its horizon gets a zero transfer.
+
+Rays start at a small offset along the normal and both sides of a surface block them. So neither the surface itself nor one
+that lies in the same plane darkens a point, and a sheet casts the same shadow from either side.
 """
 from __future__ import annotations
 
 import copy
 import math
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -22,11 +25,10 @@ import numpy as np
 
 from ..light.polygon import direction
 from ..scene import aligned, shape_index
-from ..sh.basis import sh_basis
-from .cosine import cosine_transfer
 from .light_tree import LightTrees, worth
 
 GOLDEN = (math.sqrt(5) - 1) / 2
+"""Fractional parts of its multiples are spread evenly."""
 
 MAX_GROUPS = 4
 """Up to this many lights each has its own visibility; more lights share one."""
@@ -70,102 +72,20 @@ class Occluders:
         return dr.while_loop(state, lambda going, *_: going, body, mode="symbolic")[1]
 
 
-def shadowed_transfer(occluders, lights, group, p, n, order: int, samples: int, offset, active=True) -> tuple:
-    """SH coefficients of ``V(p, omega) max(0, n . omega) / pi`` towards the lights of one group.
+class Cone(NamedTuple):
+    """Directions, as seen from a point, among which all lights of a group are."""
 
-    Cosine-distributed Fibonacci directions, shifted by `offset`; the mean visibility times the analytic cosine serves as a
-    control variate, so points that see all or nothing of their lights carry no sampling error.
-
-    Parameters
-    ----------
-    occluders : Occluders
-        What can block the light.
-    lights : BakeLights
-        Light polygons and the margin they may move in.
-    group : (UInt32, UInt32)
-        First light of the group and one past its last.
-    p, n : mi.Point3f, mi.Normal3f
-        Points and unit normals; rays start at a small offset along `n`.
-    samples : int
-        Number of directions per point.
-    offset : mi.Point2f
-        Shift of the direction set, in [0, 1)^2.
-
-    Returns
-    -------
-    (list of (order + 1)**2 floats, visibility, conflict): the coefficients in 1/sr; the cosine-weighted mean of V in [0, 1];
-    and the cosine-weighted part of the hemisphere, in [0, 1], in which two lights of the group stand behind each other with an
-    occluder between, which one V cannot represent.
-    """
-    frame = mi.Frame3f(n)
-    origin = _lifted(p, n)
-    count = (order + 1) ** 2
-
-    stride = neighbour_stride(samples)                # what one direction has met bounds the search of the next
-
-    def body(s, i, visible, conflict, weighted, plain, met, origin, offset):
-        u = (mi.Float(i) + offset.x) / samples
-        angle = 2 * dr.pi * (mi.Float(i) * GOLDEN + offset.y - dr.floor(mi.Float(i) * GOLDEN))
-        radius = dr.sqrt(u)
-        sin, cos = dr.sincos(angle)
-        d = frame.to_world(mi.Vector3f(radius * cos, radius * sin, dr.sqrt(dr.maximum(1 - u, 0))))
-        target, distance, farther, any_above, met = lights.nearest(group, origin, n, d, met)
-        blocked = ~any_above | occluders.blocked(group, origin, target, distance, active & any_above)
-        hidden = mi.Bool(False)
-        if lights.crowded:
-            behind = active & ~blocked & (farther > distance * (1 + 1e-3))
-            hidden = behind & occluders.blocked(group, origin, target, farther, behind)
-        v = dr.select(blocked, mi.Float(0), 1)
-        basis = sh_basis(d, order)
-        weighted = [dr.fma(v, y, w) for y, w in zip(basis, weighted)]
-        plain = [y + w for y, w in zip(basis, plain)]
-        following = i + stride
-        return (s + 1, dr.select(following < samples, following, following - samples), visible + v,
-                conflict + dr.select(hidden, mi.Float(1), 0), weighted, plain, met, origin, offset)
-
-    zeros = lambda: [mi.Float(0) for _ in range(count)]
-    last = dr.select(active, mi.UInt32(samples), 0)
-    start = (mi.UInt32(0), mi.UInt32(0), mi.Float(0), mi.Float(0), zeros(), zeros(), mi.Vector3f(dr.inf), origin, offset)
-    _, _, visible, conflict, weighted, plain, *_ = dr.while_loop(start, lambda s, *_: s < last, body, mode="symbolic")
-    mean = visible / samples
-    exact = cosine_transfer(n, order)
-    coeffs = [dr.fma(mean, e - b / samples, w / samples) for e, b, w in zip(exact, plain, weighted)]
-    return [dr.select(visible > 0, c, 0) for c in coeffs], mean, conflict / samples
-
-
-def inside_a_body(scene, p, n, samples: int = 32):
-    """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid
-    body.
-
-    Only such points are certain never to be seen from outside; `p`, `n` as in :py:func:`shadowed_transfer`.
-    """
-    frame, origin = mi.Frame3f(n), _lifted(p, n)
-
-    def body(s, inside, origin):
-        u = (mi.Float(s) + 0.5) / samples
-        sin, cos = dr.sincos(2 * dr.pi * GOLDEN * mi.Float(s))
-        d = frame.to_world(mi.Vector3f(dr.sqrt(u) * cos, dr.sqrt(u) * sin, dr.sqrt(1 - u)))
-        si = scene.ray_intersect(mi.Ray3f(origin, d), mi.RayFlags.Minimal, coherent=False, active=inside)
-        return s + 1, inside & si.is_valid() & (dr.dot(si.n, d) > 0), origin
-
-    state = (mi.UInt32(0), mi.Bool(True), origin)
-    return dr.while_loop(state, lambda s, inside, origin: inside & (s < samples), body, mode="symbolic")[1]
-
-
-def neighbour_stride(samples: int) -> int:
-    """Step through `samples` Fibonacci directions in which each is close to the one before, and which meets them all: a Fibonacci
-    number near the root of `samples` that has no divisor in common with it.
-    """
-    a, b = 1, 2
-    while b * b < samples or math.gcd(b, samples) > 1:
-        a, b = b, a + b
-    return b % samples
+    axis: object
+    angle: object
+    """Half-angle; no bound if it is pi / 2 or more."""
+    dips: object
+    """True where lights are, or may come, below the point's horizon."""
 
 
 class BakeLights:
     """Light polygons as the bake sees them: both sides, positions fixed, grown by `margin` (scene units)."""
 
-    DRJIT_STRUCT = dict.fromkeys(("edges", "first_edge", "normal", "trees", "_group"), object)
+    DRJIT_STRUCT = dict.fromkeys(("edges", "first_edge", "normal", "trees", "_group", "_group_edges"), object)
 
     def __init__(self, lights: list, margin: float):
         """`lights`: :py:class:`~mi_shlight.scene.PolygonLight` objects."""
@@ -179,6 +99,7 @@ class BakeLights:
         groups = light_groups(len(lights))
         self._group = aligned(mi.UInt32, np.repeat(np.arange(len(groups) - 1), np.diff(groups)))
         first = np.cumsum([0] + [len(faces) for faces in polygons])
+        self._group_edges = aligned(mi.UInt32, np.array(self.first_edge)[first[groups]])
         trees = LightTrees(np.array([outline.mean(axis=(0, 1)) for outline in outlines]), first[groups])
         self.trees = trees.refitted(self.edges, self.first_edge)
 
@@ -188,6 +109,37 @@ class BakeLights:
         lights.edges, lights.normal = edges, normal
         lights.trees = self.trees.refitted(edges, self.first_edge)
         return lights
+
+    def cone(self, group, x, n, cell) -> Cone:
+        """Where the lights of a group are, or may come, as seen from any point within `cell` of `x`; `n` is the normal there.
+
+        Bounds a ball about each corner. Where that gives less than a right angle it bounds what is between them, too.
+        """
+        number = dr.gather(mi.UInt32, self._group, group[0])
+        first, last = (dr.gather(mi.UInt32, self._group_edges, number + k) for k in (0, 1))
+        reach = self.margin + cell
+
+        def each(step, *state):
+            body = lambda e, *state: (e + 1, *step(mi.Vector3f(self._vertex(e, 0) - x), *state))
+            return dr.while_loop((first, *state), lambda e, *_: e < last, body, mode="symbolic")[1:]
+
+        def farthest(axis):
+            def step(v, angle, towards):
+                omega, distance = direction(v), dr.norm(v)
+                ball = dr.asin(dr.select(distance > reach, reach / dr.select(distance > 0, distance, 1), 1))
+                apart = 2 * dr.asin(dr.minimum(dr.norm(omega - axis) / 2, 1)) + ball
+                return dr.maximum(apart, angle), dr.select(apart > angle, omega, towards)
+
+            start = dr.select(dr.squared_norm(axis) > 0.5, mi.Float(0), math.pi)      # no axis where directions cancel
+            return each(step, start, mi.Vector3f(axis))
+
+        add = lambda v, total, height: (total + direction(v), dr.minimum(height, dr.dot(n, v)))
+        total, height = each(add, mi.Vector3f(0), mi.Float(dr.inf))
+        middle = direction(total)
+        angle, one = farthest(middle)
+        between = direction(one + farthest(one)[1])
+        other = farthest(between)[0]
+        return Cone(dr.select(other < angle, between, middle), dr.minimum(other, angle), height < self.margin)
 
     def nearest(self, group, x, n, d, met) -> tuple:
         """Where to look for visibility in place of direction `d`: (direction, distance to the light there, largest such
@@ -264,13 +216,66 @@ class BakeLights:
         return dr.gather(mi.Point3f, self.edges, 2 * edge + end)
 
 
+class LightSight:
+    """How a point sees the lights of one group: `group` is (first light, one past the last), as UInt32."""
+
+    def __init__(self, occluders: Occluders, lights: BakeLights, group: tuple):
+        self.occluders, self.lights, self.group = occluders, lights, group
+
+    def cone(self, p, n, cell) -> Cone:
+        """Where the lights are, or may come, as seen from any point within `cell` of `p`; `n` is the normal there."""
+        return self.lights.cone(self.group, p, n, cell)
+
+    def look(self, origin, n, d, met, active) -> tuple:
+        """(visible, hidden, met): whether the light in direction `d`, or the one nearest to it, is seen from `origin`; whether another one
+        straight behind it is not; and where it was met, for :py:meth:`BakeLights.nearest`.
+        """
+        target, distance, farther, found, met = self.lights.nearest(self.group, origin, n, d, met)
+        visible = active & found & ~self.occluders.blocked(self.group, origin, target, distance, active & found)
+        hidden = mi.Bool(False)
+        if self.lights.crowded:
+            behind = visible & (farther > distance * (1 + 1e-3))
+            hidden = behind & self.occluders.blocked(self.group, origin, target, farther, behind)
+        return visible, hidden, met
+
+
+class SkySight:
+    """How a point sees what is infinitely far away: all shapes are in its way, lights included."""
+
+    def __init__(self, scene):
+        self.scene = scene
+
+    def look(self, origin, n, d, met, active) -> tuple:
+        """As :py:meth:`LightSight.look`: whether a ray leaves the scene."""
+        return active & ~self.scene.ray_test(mi.Ray3f(origin, d), coherent=False, active=active), mi.Bool(False), met
+
+
+def inside_a_body(scene, p, n, samples: int = 32):
+    """True for points from which every direction of the hemisphere about `n` ends on the back of a surface: inside a solid
+    body.
+
+    Only such points are certain never to be seen from outside; `p`, `n`: points and unit normals.
+    """
+    frame, origin = mi.Frame3f(n), lifted(p, n)
+
+    def body(s, inside, origin):
+        u = (mi.Float(s) + 0.5) / samples
+        sin, cos = dr.sincos(2 * dr.pi * GOLDEN * mi.Float(s))
+        d = frame.to_world(mi.Vector3f(dr.sqrt(u) * cos, dr.sqrt(u) * sin, dr.sqrt(1 - u)))
+        si = scene.ray_intersect(mi.Ray3f(origin, d), mi.RayFlags.Minimal, coherent=False, active=inside)
+        return s + 1, inside & si.is_valid() & (dr.dot(si.n, d) > 0), origin
+
+    state = (mi.UInt32(0), mi.Bool(True), origin)
+    return dr.while_loop(state, lambda s, inside, origin: inside & (s < samples), body, mode="symbolic")[1]
+
+
 def _distance_to_plane(normal, height, d):
     """Distance along `d` to the plane ``normal . v = height``; infinite if it lies behind."""
     slope = dr.dot(normal, d)
     return dr.select(height * slope > 0, height / dr.select(slope != 0, slope, 1), dr.inf)
 
 
-def _lifted(p, n):
+def lifted(p, n):
     """Start of rays from a surface point: off the surface along its normal."""
     return p + n * ((1 + dr.max(abs(p))) * mi.math.RayEpsilon)
 
@@ -299,3 +304,12 @@ def _distance_on_edge(v_i, v_j, q):
     a, b = dr.norm(dr.cross(v_i, q)), dr.norm(dr.cross(q, v_j))
     t = dr.select(a + b > 0, a / dr.select(a + b > 0, a + b, 1), 0)
     return dr.norm(v_i + t * (v_j - v_i))
+
+
+_lifted = lifted                                      # until bounce.py asks for lifted
+
+
+def shadowed_transfer(occluders, lights, group, p, n, order, samples, offset, active=True):    # until hits.py calls sample_transfer
+    from .localised import sample_transfer
+    found = sample_transfer(LightSight(occluders, lights, group), p, n, order, samples, offset.x, active)
+    return found.coeffs, found.visibility, found.conflict
