@@ -12,15 +12,13 @@ from __future__ import annotations
 import math
 
 import drjit as dr
-import numpy as np
 
 from ..arrays import vectors3
-from ..errors import check_number, message
+from ..errors import check_number
 from ..light.arguments import float_list, not_literal
 from ..light.polygon import direction as unit
 from ..sh.basis import check_order, sh_basis
-from ..sh.lobes import MAX_ORDER
-from ..sh.rotation import rotate_frame
+from ..sh.rotation import coefficients_order, rotate_frame
 from .nodes import leggauss, sum_over_nodes
 
 
@@ -91,9 +89,8 @@ def proxy_shadow(coeffs, direction, half_angle, order: int | None = None) -> lis
     """
     name = "proxy_shadow"
     d, half_angle = _cap_arguments(name, direction, half_angle)
-    n = math.isqrt(len(coeffs)) - 1 if isinstance(coeffs, (list, tuple, np.ndarray)) else 0
-    hint = "It has one entry for each l and m: 81 up to degree 8."
-    coeffs = float_list(name, "coeffs", coeffs, type(d[0]), min(max(n + 1, 1), MAX_ORDER + 1) ** 2, min(max(n + 1, 1), MAX_ORDER + 1) ** 2, hint)
+    n = coefficients_order(name, "coeffs", coeffs)
+    coeffs = float_list(name, "coeffs", coeffs, type(d[0]), len(coeffs), len(coeffs), "Its entries are single numbers, or one per point.")
     out = n if order is None else check_order(name, order)
     number = type(d[0])
     s, t = tangents(d)

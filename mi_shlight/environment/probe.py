@@ -50,7 +50,7 @@ def project_angle_map(image, order: int, forward=(0.0, 0.0, -1.0), up=(0.0, 1.0,
 
     Notes
     -----
-    Error for a constant map 1e-5 of its mean at most. The map's pixels differ in solid angle, least next to the rim: a light that stands there is
+    Error for a constant map 1e-5 of its mean at most. Next to the rim a pixel stands for a wide arc of directions: light from behind is
     blurred in the map already.
     """
     name = "project_angle_map"
@@ -119,9 +119,9 @@ def latlong(function, height: int, vector: type = None) -> np.ndarray:
     function : callable
         Takes unit vectors as an ndarray (N, 3) and returns values (N,) or (N, K).
     height : int
-        Rows of the result, 3 to 16384; it has twice as many columns. Row i stands at ``theta = pi i / (height - 1)`` from the y axis, column
-        j at ``phi = 2 pi (j + 1/2) / (2 height)``, direction ``(sin phi sin theta, cos theta, -cos phi sin theta)``; in between ``envmap``
-        interpolates.
+        Rows of the result, 3 to 16384; it has twice as many columns. Row i stands at ``theta = pi i / (height - 1)`` from the y axis,
+        column j at ``phi = 2 pi (j + 1/2) / (2 height)``, direction ``(sin phi sin theta, cos theta, -cos phi sin theta)``; in between
+        ``envmap`` interpolates.
     vector : type
         Dr.Jit or Mitsuba 3-vector to call `function` with instead, as ``drjit.auto.Array3f``; it returns a float or 3-vector (colour).
 

@@ -14,15 +14,34 @@ from .rotation import coefficients_order, rotate, static_rotation
 ENVMAP_FRAME = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 """x, y, z of the world by rows: columns are the directions of azimuth 0 and 90 degrees against the map's u, and of its upper pole."""
 
+MAX_LATITUDES = 4096
+
+MAX_FLOATS = 2 ** 21
+"""Harmonics evaluated in one step, which bounds the memory."""
+
 _ROWS_PER_STEP = 256
 
 
 def sphere_quadrature(latitudes: int) -> tuple:
     """Product quadrature of the sphere: Gauss-Legendre in z, twice as many equal steps in azimuth.
 
-    Returns unit vectors (2 latitudes**2, 3) and weights (2 latitudes**2,), whose sum is 4 pi. Exact for polynomials, hence products of
-    spherical harmonics, of degree ``2 latitudes - 1``.
+    Parameters
+    ----------
+    latitudes : int
+        Number of nodes in z, 1 to 4096.
+
+    Returns
+    -------
+    (directions, weights) : ndarrays (2 latitudes**2, 3) and (2 latitudes**2,)
+        Unit vectors, and weights whose sum is 4 pi: exact for polynomials, hence products of spherical harmonics, of degree
+        ``2 latitudes - 1``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `latitudes` is not an integer from 1 to 4096.
     """
+    latitudes = check_integer("sphere_quadrature", "latitudes", latitudes, 1, MAX_LATITUDES)
     z, weights = np.polynomial.legendre.leggauss(latitudes)
     azimuth = (np.arange(2 * latitudes) + 0.5) * (math.pi / latitudes)
     rho = np.sqrt(1 - z * z)
@@ -36,11 +55,11 @@ def project_function(f, order: int, latitudes: int = None, vector: type = None):
     Parameters
     ----------
     f : callable
-        Takes unit vectors as an ndarray (N, 3) and returns values (N,), or (N, K) of K functions.
+        Takes unit vectors as an ndarray (N, 3) and returns values (N,), or (N, K) of K functions. Called for a part of them at a time.
     order : int
         Highest degree, 0 to 64.
     latitudes : int
-        Circles of latitude, 1 to 10,000, of twice as many directions each: exact where f is a polynomial, or has coefficients, up to
+        Circles of latitude, 1 to 4096, of twice as many directions each: exact where f is a polynomial, or has coefficients, up to
         the degree ``2 latitudes - 1 - order``. Default: ``4 (order + 8)``.
     vector : type
         Dr.Jit or Mitsuba 3-vector to call `f` with instead; `f` returns a float or 3-vector (colour).
@@ -61,11 +80,14 @@ def project_function(f, order: int, latitudes: int = None, vector: type = None):
     """
     order = check_order("project_function", order)
     default = 4 * (order + 8)
-    latitudes = check_integer("project_function", "latitudes", default if latitudes is None else latitudes, 1, 10_000)
+    latitudes = check_integer("project_function", "latitudes", default if latitudes is None else latitudes, 1, MAX_LATITUDES)
     directions, weights = sphere_quadrature(latitudes)
     if vector is None:
-        values = _values("project_function", f, directions)
-        return (values.T * weights) @ sh_matrix(directions, order)
+        coeffs, step = 0, max(1, MAX_FLOATS // (order + 1) ** 2)
+        for begin in range(0, len(weights), step):
+            part = slice(begin, begin + step)
+            coeffs = coeffs + (_values("project_function", f, directions[part]).T * weights[part]) @ sh_matrix(directions[part], order)
+        return coeffs
     number = dr.value_t(vector)
     values = f(vector(*(number(component) for component in directions.T)))
     basis = sh_matrix(directions, order) * weights[:, None]
@@ -80,7 +102,7 @@ def project_function_stratified(f, order: int, samples: int = 10_000, seed: int 
     Parameters
     ----------
     f : callable
-        Takes unit vectors as an ndarray (N, 3) and returns values (N,), or (N, K) of K functions.
+        Takes unit vectors as an ndarray (N, 3) and returns values (N,), or (N, K) of K functions. Called for some rows of cells at a time.
     order : int
         Highest degree, 0 to 64.
     samples : int
@@ -103,7 +125,7 @@ def project_function_stratified(f, order: int, samples: int = 10_000, seed: int 
     side = math.isqrt(check_integer("project_function_stratified", "samples", samples, 9, 10 ** 8) - 1) + 1
     rng = np.random.default_rng(check_integer("project_function_stratified", "seed", seed, 0, 2 ** 63))
     total, variance = 0, 0
-    step = max(1, 2 ** 20 // (side * (order + 1) ** 2))                       # rows at a time, to bound the memory
+    step = max(1, MAX_FLOATS // (side * (order + 1) ** 2))
     for begin in range(0, side, step):
         cells = np.meshgrid(np.arange(begin, min(side, begin + step)), np.arange(side), indexing="ij")
         u, v = ((cell + rng.random(cell.shape)) / side for cell in cells)
@@ -124,7 +146,7 @@ def project_image(image, order: int, to_world=None, interpolation: str = "biline
     Parameters
     ----------
     image : array_like (H, W) or (H, W, K)
-        Finite values, e.g. ``numpy.array(mi.Bitmap("sky.exr"))``; H at least 2. Oriented as Mitsuba's ``envmap``: y is up and on top, and
+        Finite values, e.g. ``mi.Bitmap("sky.exr")``; H at least 2. Oriented as Mitsuba's ``envmap``: y is up and on top, and
         the direction of azimuth ``phi = 2 pi u`` and colatitude theta is ``(sin phi sin theta, cos theta, -cos phi sin theta)``,
         columns centred at ``u = (j + 1/2) / W``.
     order : int
@@ -156,7 +178,7 @@ def project_image(image, order: int, to_world=None, interpolation: str = "biline
         pixels = np.asarray(image)
         finite = np.isfinite(pixels).all()
     except (TypeError, ValueError):
-        raise TypeError(message("project_image", "image", rule, image, "Pass numpy.array() of a mi.Bitmap.")) from None
+        raise TypeError(message("project_image", "image", rule, image, "Pass a mi.Bitmap, or an array.")) from None
     if pixels.ndim not in (2, 3) or len(pixels) < 2 or pixels.size == 0 or not finite:
         raise ValueError(message("project_image", "image", rule, f"an array {pixels.shape}" + ("" if finite else " with inf or nan")))
     height, width = pixels.shape[:2]
@@ -203,7 +225,7 @@ def reconstruct(coeffs, directions):
     Parameters
     ----------
     coeffs : sequence of (n + 1)**2 floats, or ndarray ((n + 1)**2,) or (K, (n + 1)**2)
-        Coefficients, e.g. of :py:func:`project_function`; of an ndarray the directions are one, too.
+        Coefficients, e.g. of :py:func:`project_function`.
     directions : 3-vector, or ndarray (N, 3)
         Unit vectors.
 
@@ -220,13 +242,12 @@ def reconstruct(coeffs, directions):
     -----
     Differentiable by both. Accuracy as :py:func:`mi_shlight.sh_basis`.
     """
-    if isinstance(coeffs, np.ndarray):
-        order = coefficients_order("reconstruct", "coeffs", coeffs)
-        directions = np.asarray(directions, dtype=np.float64)
+    order = coefficients_order("reconstruct", "coeffs", coeffs)
+    if isinstance(coeffs, np.ndarray) or isinstance(directions, np.ndarray):
+        coeffs, directions = np.asarray(coeffs, dtype=np.float64), np.asarray(directions, dtype=np.float64)
         if directions.shape[-1:] != (3,) or directions.ndim > 2:
             raise ValueError(message("reconstruct", "directions", "be unit vectors (N, 3)", f"an array {directions.shape}"))
         return (sh_matrix(directions.reshape(-1, 3), order) @ coeffs.T).reshape(directions.shape[:-1] + coeffs.shape[:-1])
-    order = coefficients_order("reconstruct", "coeffs", coeffs)
     total = 0
     for basis, coefficient in zip(sh_basis(directions, order), coeffs):
         total = coefficient * basis + total

@@ -116,7 +116,8 @@ def product(a, b, order: int = None):
     """
     orders = [coefficients_order("product", "a", a), coefficients_order("product", "b", b)]
     order = check_order("product", sum(orders) if order is None else order)
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
         directions, weights = sphere_quadrature((sum(orders) + order) // 2 + 1)
         values = [f @ sh_matrix(directions, n).T for f, n in zip((a, b), orders)]
         return (values[0] * values[1] * weights) @ sh_matrix(directions, order)
@@ -133,7 +134,7 @@ def product(a, b, order: int = None):
                 for l in range(abs(k) + parity, order + 1, 2):
                     i = l * (l + 1) + k
                     out[i] = add_product(out[i], value, weight * legendre[l * (l + 1) + abs(k)])
-    zero = next((0 * v for v in out if v is not None), 0.0)
+    zero = next((type(v)(0) for v in out if v is not None), 0.0)
     return [zero if value is None else value for value in out]
 
 
@@ -161,7 +162,7 @@ def triple_product(a, b, c):
     """
     ab = product(a, b, coefficients_order("triple_product", "c", c))
     if isinstance(ab, np.ndarray):
-        return (ab * c).sum(axis=-1)
+        return (ab * np.asarray(c, dtype=np.float64)).sum(axis=-1)
     total = None
     for p, q in zip(ab, c):
         total = add_product(total, q, p)
@@ -205,7 +206,7 @@ def product_matrix(a, order_in: int, order_out: int = None):
         if max(i, j) < min(shape) and i > j:          # symmetric: only once
             continue
         matrix[i][j] = add_product(matrix[i][j], a[k], value)
-    zero = next(0 * v for v in a if v is not None)
+    zero = next((type(v)(0) for v in a if v is not None), 0.0)
     for i in range(shape[0]):
         for j in range(shape[1]):
             mirrored = matrix[j][i] if max(i, j) < min(shape) and i > j else matrix[i][j]

@@ -86,6 +86,7 @@ def _quarter_turn_band(l: int) -> np.ndarray:
             else:
                 x90[l + a, l - b] = unit * odd if b else 0
                 x90[l - a, l + b] = -unit * even if a else 0
+    x90.setflags(write=False)
     return x90
 
 

@@ -128,9 +128,9 @@ class Bounces:
         groups = []
         for g in range(len(lookup.coeffs) // (count * lookup.count)):
             start = dr.gather(mi.Float, lookup.coeffs, (row + g * count) * lookup.count + coefficient)
-            if self._settings.parts.direct == "exact" and g < self.state.group_count:             # whose vectors hold what is blocked
+            if lookup.kind == "exact" and g < self.state.group_count:      # whose vectors hold what the mean visibility leaves
                 cosine = dr.concat(cosine_transfer(self._points.normals, self._settings.order))
-                start = dr.gather(mi.Float, cosine, coefficient * count + row) - start
+                start += dr.gather(mi.Float, lookup.means, row + g * count) * dr.gather(mi.Float, cosine, coefficient * count + row)
             groups.append(self._shown(self._solve(start, colours, self.channels * size).total, self.channels * size))
             dr.eval(groups)
         return dr.concat(groups)

@@ -1,6 +1,7 @@
 """Lights at an infinite distance, projected to spherical harmonics, and lights without an extent, which are shaded one by one."""
 from __future__ import annotations
 
+import copy
 import math
 
 import drjit as dr
@@ -28,7 +29,8 @@ class DistantLights:
     ``constant`` and ``envmap``, and any other emitter at an infinite distance, are projected to spherical harmonics; of these Mitsuba
     allows one to a scene. An envmap's coefficients are those of the very function that Mitsuba evaluates, bilinear in both angles between
     the pixels' places, integrated without sampling; any other emitter is taken as bilinear between directions 1 degree apart.
-    ``directional``, ``point``, ``spot`` and ``projector`` have no extent: light from them is exact at every point, with a ray for the shadow.
+    ``directional``, ``point``, ``spot`` and ``projector`` have no extent: light from them is exact at every point, with a ray for its
+    shadow.
 
     Attributes
     ----------
@@ -38,7 +40,7 @@ class DistantLights:
         Number of emitters without an extent.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("_delta", "_map"), object)
+    DRJIT_STRUCT = dict.fromkeys(("_delta", "_map", "_table"), object)
 
     def __init__(self, scene, order: int, complain=warn):
         self.scene, self.order = scene, order
@@ -61,12 +63,19 @@ class DistantLights:
         self._delta = aligned(mi.UInt32, [dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(e))[0] for e in deltas])
         varying = self.projected and has(self._emitter, "SpatiallyVarying")
         self._map = MapProjection(self._emitter, order, len(self.spectrum(0))) if varying else None
+        self._table = None
 
-    def coefficients(self, wavelengths) -> list:
-        """SH coefficients of the light at an infinite distance, in the world's axes: ``(order + 1)**2`` spectra in radiance times steradian.
+    def attached(self) -> "DistantLights":
+        """A copy that has projected the emitter as it is now; its coefficients carry derivatives if derivatives are on."""
+        lights = copy.copy(self)
+        lights._table = self._map.project() if self._map else None
+        return lights
 
-        Without wavelengths the same for all points; they carry derivatives by radiance, scale and pixels if derivatives are on. In spectral
-        variants those of maps are interpolated between wavelengths 5 nm apart.
+    def coefficients(self, wavelengths, p=None) -> list:
+        """SH coefficients of the light at an infinite distance, in the world's axes: ``(order + 1)**2`` spectra, radiance times steradian.
+
+        Of an attached copy only. They are the same at all points `p`. In spectral variants those of maps are interpolated between
+        wavelengths 5 nm apart, and Mitsuba's map, which there interpolates hue and scale apart, is taken as bilinear.
         """
         count = (self.order + 1) ** 2
         if self._map is None:
@@ -74,12 +83,17 @@ class DistantLights:
             si.wavelengths = wavelengths
             mean = mi.unpolarized_spectrum(self._emitter.eval(si)) * math.sqrt(4 * math.pi)
             return [mean] + [self.spectrum(0) for _ in range(count - 1)]
-        table = self._map.project()
-        row = dr.width(table) // count
+        if self._table is None:                       # TODO remove with the old call
+            return self.attached().coefficients(wavelengths, p)
+        row = dr.width(self._table) // count
         if not mi.is_spectral:
-            return [self.spectrum(*(dr.gather(mi.Float, table, mi.UInt32(i * row + c)) for c in range(row))) for i in range(count)]
+            first = mi.UInt32(0)
+            if p is not None and dr.grad_enabled(self._table):
+                # an index for each point: in reverse mode sums to single values would take a kernel each
+                first = dr.minimum(dr.reinterpret_array(mi.UInt32, dr.detach(p.x)), first)
+            return [dr.gather(self.spectrum, self._table, first + i, mode=dr.ReduceMode.Expand) for i in range(count)]
         nodes = [(mi.UInt32(dr.clip(at, 0, SPECTRAL_NODES - 2)), at) for at in (wavelengths - mi.MI_CIE_MIN) * (1 / SPECTRAL_STEP)]
-        between = lambda i, k, at: dr.lerp(*(dr.gather(mi.Float, table, i * row + k + j) for j in (0, 1)), at - mi.Float(k))
+        between = lambda i, k, at: dr.lerp(*(dr.gather(mi.Float, self._table, i * row + k + j) for j in (0, 1)), at - mi.Float(k))
         return [self.spectrum(*(between(i, k, at) for k, at in nodes)) for i in range(count)]
 
     def delta_irradiance(self, p, n, wavelengths, active, shadows: bool = True):

@@ -3,9 +3,8 @@ from __future__ import annotations
 
 import drjit as dr
 
-from ..transfer.localised import cone_fit, sample_transfer
+from ..transfer.localised import sample_transfer
 from ..transfer.visibility import LightSight, SkySight
-from .settings import DEFAULT_SAMPLES
 
 
 class BakedTransfer:
@@ -58,9 +57,8 @@ class HitTransfer:
             return
         self._p, self._n = dr.detach(points.p), dr.detach(points.n)
         self._shift = sampler.next_1d(points.active)
-        self._samples = settings.transfer_samples if baked is None and settings.transfer_samples else DEFAULT_SAMPLES["pixel"]
+        self._samples = settings.pixel_samples
         self._lights = state.bake_lights.at(*table.outlines()) if table else None
-        self._fit = cone_fit(order, self._samples) if settings.localised else None
 
     def __call__(self, g, lights) -> tuple:
         coeffs, visible = self._baked(g, lights) if self._baked else (None, None)
@@ -69,7 +67,7 @@ class HitTransfer:
         sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)
         kind = "shadowed" if self._kind == "exact" and not lights else self._kind
         found = sample_transfer(sight, self._p, self._n, self._order, self._samples, self._shift, self._traced, kind=kind,
-                                fit=self._fit if lights else None)
+                                fit=self._state.fit if lights and self._kind != "visibility" else None)
         traced_visible = found.visibility if kind == "exact" else None
         if not self._baked:
             return found.coeffs, traced_visible

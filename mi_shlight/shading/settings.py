@@ -75,6 +75,11 @@ class Settings:
     coefficients: bool = False
 
     @property
+    def pixel_samples(self) -> int:
+        """Rays per camera hit where transfer is not baked."""
+        return self.transfer_samples if self.transfer_domain == "pixel" and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
+
+    @property
     def parts(self) -> Parts:
         """What `transfer` asks for."""
         return parse_transfer("shprt", self.transfer)

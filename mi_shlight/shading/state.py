@@ -9,6 +9,7 @@ from ..lights import LightTable
 from ..moving import MovingLights
 from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, refuse_darkness, shape_index, warn
 from ..scene_grid import SceneGrid
+from ..transfer.localised import cone_fit
 from ..transfer.visibility import BakeLights, Occluders, light_groups
 from .distant import DistantLights
 from .glossy import Gloss
@@ -18,7 +19,7 @@ class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
     DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "facets", "polygons", "meshes", "occluders", "table", "bake_lights",
-                                  "lookup", "grid", "distant", "bounces", "gloss"), object)
+                                  "lookup", "grid", "distant", "bounces", "gloss", "fit"), object)
 
     def __init__(self, scene, settings, seen: Fingerprint):
         self.seen = seen
@@ -40,7 +41,7 @@ class SceneState:
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
         self.table = self.bake_lights = self.moving = self.facets = self.polygons = self.meshes = None
-        self.lookup = self.grid = self.bounces = None
+        self.lookup = self.grid = self.bounces = self.fit = None
         if self.lights:
             self.table = LightTable(self.lights)
             # bounds of each group among the facets, the polygons and the lights of triangles
@@ -49,6 +50,8 @@ class SceneState:
             self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
             self.bake_lights = BakeLights(self.lights, 0.0)
             self.moving = MovingLights(self.lights)
+            if settings.localised and not (self.all_baked and settings.transfer_domain == "vertex"):
+                self.fit = cone_fit(settings.order, settings.pixel_samples)
             if settings.grid_resolution:
                 self.grid = SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution, settings.grid_interpolation,
                                       settings.grid_error, settings.order, settings.method)

@@ -54,17 +54,15 @@ class ConeFit:
     ----------
     order : int
         1 to MAX_FIT_ORDER.
-    samples : int
-        Rays per point. ``eps`` is 1e-4 over their number, 1e-7 at least: what a fit may invent where nothing was measured is limited by the
-        noise of what was, and by float32.
+    eps : float
+        1e-7, which float32 just holds, to 1.
     """
 
     DRJIT_STRUCT = dict.fromkeys(("spread", "_factors"), object)
 
-    def __init__(self, order: int, samples: int):
+    def __init__(self, order: int, eps: float):
         self.order = order
         angles = SMALLEST * (LARGEST / SMALLEST) ** (np.arange(LEVELS) / (LEVELS - 1))
-        eps = max(1e-4 / samples, 1e-7)
         identity = [np.eye(order + 1 - m)[np.tril_indices(order + 1 - m)] for m in range(order + 1)]
         factors = np.stack([*(_packed_factors(angle, order, eps) for angle in angles), np.concatenate(identity)])
         self._size = factors.shape[1]
@@ -94,8 +92,12 @@ class ConeFit:
 
 
 def cone_fit(order: int, samples: int):
-    """The `fit` for :py:func:`sample_transfer`; None for orders that are projected even if localised transfer is asked for."""
-    return ConeFit(order, samples) if 0 < order <= MAX_FIT_ORDER else None
+    """The `fit` for :py:func:`sample_transfer` with so many rays per point; None for orders that are projected in any case.
+
+    ``eps`` is 1e-4 over their number, 1e-7 at least: few rays say little about the finer shapes that a smaller one would let through. A
+    factor of 10 changes the error of a soft shadow by a tenth (validation/soft_shadows.py).
+    """
+    return ConeFit(order, max(1e-4 / samples, 1e-7)) if 0 < order <= MAX_FIT_ORDER else None
 
 
 class Sampled(NamedTuple):

@@ -18,8 +18,9 @@ TOLERANCE = 1e-4
 def rotate_transfer(transfer: Transfer, scene, moved) -> Transfer:
     """The bake of a scene for the same scene turned and moved as a whole, without a ray.
 
-    What a point sees turns with it: T'(omega) = T(R^-1 omega), so its coefficients are rotated, ``T' = D(R) T`` (:py:func:`mi_shlight.sh.rotate`),
-    and ``T' . L = T . D(R)^-1 L``: as if the light had been rotated into the frame of the object ([G03] "Rotating Spherical Harmonics").
+    What a point sees turns with it, ``T'(omega) = T(R^-1 omega)``, so its coefficients are rotated, ``T' = D(R) T``
+    (:py:func:`mi_shlight.sh.rotate`), and ``T' . L = T . D(R)^-1 L``: as if the light had been rotated into the frame of the object
+    ([G03] "Rotating Spherical Harmonics").
     Meant for an object under lights at an infinite distance. Polygonal lights, and all that casts shadows, must have moved along.
 
     Parameters

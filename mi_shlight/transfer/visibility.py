@@ -304,12 +304,3 @@ def _distance_on_edge(v_i, v_j, q):
     a, b = dr.norm(dr.cross(v_i, q)), dr.norm(dr.cross(q, v_j))
     t = dr.select(a + b > 0, a / dr.select(a + b > 0, a + b, 1), 0)
     return dr.norm(v_i + t * (v_j - v_i))
-
-
-_lifted = lifted                                      # until bounce.py asks for lifted
-
-
-def shadowed_transfer(occluders, lights, group, p, n, order, samples, offset, active=True):    # until hits.py calls sample_transfer
-    from .localised import sample_transfer
-    found = sample_transfer(LightSight(occluders, lights, group), p, n, order, samples, offset.x, active)
-    return found.coeffs, found.visibility, found.conflict
