@@ -209,7 +209,7 @@ def build():
             self._transfer = load_transfer(self.transfer_file) if self.transfer_file else None
             if self._transfer is not None:
                 self._check_file(self._transfer)
-            self._state = None
+            self._state = self._blocked = None
             self._nodes = node_tables(mi.Float, self.order, default_error(mi.Float(0)))     # held for dr.freeze to see
 
         def _check_file(self, baked) -> None:
@@ -258,29 +258,38 @@ def build():
             if changed and not (old and old.follow(seen)):
                 check_attached(scene)
                 self._state = SceneState(scene, self._settings, seen)
+            parts = self._settings.parts
             if self._state.gloss:
                 self._state.gloss.prepare()
-            if self._settings.parts.direct == "unshadowed" or self.transfer_domain == "pixel":
+            if parts.direct == "unshadowed" or self.transfer_domain == "pixel":
                 return None
-            if changed or self._state.lookup is None:
-                lookup, self._state.lookup = old and old.lookup, None
-                transfer = self._current_transfer(scene, same_geometry, progress)
+            state = self._state
+            if changed or state.lookup is None:
+                state.lookup = None
+                transfer = self._current_transfer(scene, self._transfer, parts.direct, same_geometry, progress)
                 keep = same_geometry and transfer is self._transfer
-                self._state.lookup = lookup if keep else transfer.look_up(scene)
-                if self._settings.parts.interreflected:
+                lookup = old.lookup if keep else transfer.look_up(state.receivers)
+                if state.glossy:
+                    blocked = self._current_transfer(scene, self._blocked, "visibility", same_geometry, progress)
+                    kept = same_geometry and blocked is self._blocked
+                    state.blocked_lookup, self._blocked = old.blocked_lookup if kept else blocked.look_up(state.receivers), blocked
+                state.lookup, self._transfer = lookup, transfer
+                if parts.interreflected:
                     bounces = old and keep and old.bounces
-                    self._state.bounces = bounces or Bounces(scene, transfer, self._state, self._settings, refuse if self.strict else warn)
-                self._transfer = transfer
+                    state.bounces = bounces or Bounces(scene, transfer, state, self._settings, refuse if self.strict else warn)
+                    state.bounces.state = state
+            if state.bounces:
+                state.bounces.prepare()
             return self._transfer
 
-        def _current_transfer(self, scene, same_geometry, progress):
-            """The transfer at hand if it still fits the scene, otherwise a new bake."""
-            baked = self._transfer
-            if baked is not None and self.transfer_file and not same_geometry:
-                baked.check(scene)
+        def _current_transfer(self, scene, baked, kind: str, same_geometry, progress):
+            """The transfer `baked` before, if it still fits the scene, otherwise a new bake."""
+            state, from_file = self._state, self.transfer_file and kind != "visibility"
+            if baked is not None and from_file and not same_geometry:
+                baked.check(scene, state.receivers)
             if baked is not None and baked.distant != self._state.distant.projected:
                 baked = None                          # another kind of light has come or gone
-            if baked is not None and (self.transfer_file or same_geometry or baked.fits(scene)):
+            if baked is not None and (from_file or same_geometry or baked.fits(scene, state.receivers)):
                 distance = moved(baked.outlines, [light.outline for light in self._state.lights])
                 if distance <= baked.light_margin:
                     return baked
@@ -289,11 +298,12 @@ def build():
                         else "shprt: the lights, or their order, are not those the transfer was baked for")
                 if self.strict:
                     raise ValueError(f"{text} (an error because 'strict' is true).")
-                warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
+                if kind != "visibility":              # once is enough
+                    warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
             samples = self.transfer_samples or DEFAULT_SAMPLES["vertex"]
-            state = self._state
-            return trace_transfer(scene, state.lights, state.receivers, self.order, samples, self.max_edge, self.light_margin, progress,
-                                  self._settings.parts.direct, self.localised, state.distant.projected)
+            order = self.visibility_order if kind == "visibility" else self.order
+            return trace_transfer(scene, state.lights, state.receivers, order, samples, self.max_edge, self.light_margin, progress,
+                                  kind, self.localised, state.distant.projected)
 
         def sample(self, mode, scene, sampler, ray, active=True, **kwargs):
             self.prepare_scene(scene)
@@ -302,19 +312,18 @@ def build():
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
                 table = self._state.table.attached() if self._state.table else None
-                nodes = self._grid_nodes(table, dr.width(ray))
-                lighting_at = lambda wavelengths: Lighting(self._state, self._settings, table, nodes, wavelengths)
-                reflected = self._reflected(lighting_at, pi, si, sampler, valid)
+                nodes = [self._grid_nodes(grid, table, dr.width(ray)) for grid in (self._state.grid, self._state.gloss_grid)]
+                lighting = Lighting(self._state, self._settings, table, *nodes)
+                reflected = self._reflected(lighting, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
                 aovs = []
                 if self.coefficients:
                     weigh = lambda radiance: [luminance(radiance, si.wavelengths)]
-                    aovs = lighting_at(si.wavelengths).coefficients(Points(si.p, si.n, si.wavelengths, valid), weigh)[0]
+                    aovs = lighting.coefficients(Points(si.p, si.n, si.wavelengths, valid), weigh)[0]
                 return mi.depolarizer(reflected) + emitted, valid, aovs, None
 
-        def _grid_nodes(self, table, points: int):
-            """What the light grid holds for this picture, or None without a grid."""
-            grid = self._state.grid
+        def _grid_nodes(self, grid, table, points: int):
+            """What a light grid holds for this picture, or None without a grid."""
             if grid is None or table is None:
                 return None
             if not dr.flag(dr.JitFlag.FreezingScope):
@@ -324,31 +333,30 @@ def build():
                                    "Call mi.render(scene, integrator=integrator) first, and again whenever lights have moved far.")
             return grid.nodes(table.facets)
 
-        def _reflected(self, lighting_at, pi, si, sampler, valid):
-            """Light scattered towards the camera; unpolarised spectrum.
-
-            `lighting_at(wavelengths)`: the `Lighting` for rays of these wavelengths.
-            """
+        def _reflected(self, lighting, pi, si, sampler, valid):
+            """Light scattered towards the camera; unpolarised spectrum."""
             state, parts = self._state, self._settings.parts
-            front = mi.Frame3f.cos_theta(si.wi) > 0
+            front, shadows = mi.Frame3f.cos_theta(si.wi) > 0, parts.direct != "unshadowed"
             lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
             points = Points(si.p, dr.select(front, si.sh_frame.n, -si.sh_frame.n), si.wavelengths, lit)
-            lighting, transfer_of = lighting_at(si.wavelengths), None
-            if parts.direct != "unshadowed":
+
+            def transfer(kind, order, lookup):
                 baked, where = None, False
-                if state.lookup:
-                    rows, weights, where = state.lookup.rows_at(pi, si.shape, ~front, lit)
-                    baked = BakedTransfer(state.lookup, rows, weights, where, self.order)
-                transfer_of = HitTransfer(state, self._settings, parts.direct, self.order, lighting.table, points, sampler, baked, where)
-            white = lighting.white(points, transfer_of)
+                if lookup:
+                    rows, weights, where = lookup.rows_at(pi, si.shape, ~front, lit)
+                    baked = BakedTransfer(lookup, rows, weights, where, order)
+                return HitTransfer(state, self._settings, kind, order, lighting.table, points, sampler, baked, where)
+
+            white = lighting.white(points, transfer(parts.direct, self.order, state.lookup) if shadows else None, not state.glossy)
             if parts.interreflected:
-                white = white + state.bounces.picture(lighting_at).white(lighting, points, pi, si.shape, ~front, sampler)
+                white = white + state.bounces.picture(lighting).white(lighting, points, pi, si.shape, ~front, sampler)
             reflectance = mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit))
-            gloss = state.gloss
-            if not (gloss and gloss.present):
+            if not state.glossy:
                 return reflectance * white & lit
+            gloss = state.gloss
             value = reflectance * white * gloss.share(si.shape, ~front, lit) & lit
-            light = lighting.coefficients(points)
+            value += state.distant.delta_reflected(si, si.bsdf(), lit, shadows)
+            light = lighting.arriving(points, transfer("visibility", self.visibility_order, state.blocked_lookup) if shadows else None)
             return value + gloss.reflected(gloss.attached(), si.shape, points, si.to_world(si.wi), ~front, light)
 
     for name in (field.name for field in fields(Settings)):         # read-only: a bake and its tables depend on them

@@ -41,7 +41,7 @@ class Bounces:
 
     def __init__(self, scene, transfer, state, settings, complain, progress=None):
         self.scene, self.state, self._settings = scene, state, settings
-        self._points = BakedPoints(transfer, scene)
+        self._points = BakedPoints(transfer, state.receivers)
         self._gather = trace_bounces(scene, state.lookup, self._points, settings.bounce_samples, progress)
         self.spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
         self.channels = SPECTRAL_NODES if mi.is_spectral else len(self.spectrum(0))
@@ -61,20 +61,17 @@ class Bounces:
         """
         if self._settings.bounce_lighting == "transfer" and not dr.flag(dr.JitFlag.FreezingScope):
             with dr.suspend_grad():
-                reflectance = self._at_rows(self._points.reflectance)
+                reflectance = self._at_rows(self._reflecting)
                 if self.transfer is None or not dr.all(reflectance == self._reflectance):
                     self.transfer, self._reflectance = self._interreflected(reflectance), reflectance
 
-    def picture(self, lighting_at) -> "BouncedLight":
-        """Bounced light for the lights and reflectances as they are now.
-
-        `lighting_at(wavelengths)`: the `Lighting` for rays of these wavelengths.
-        """
+    def picture(self, lighting) -> "BouncedLight":
+        """Bounced light for the lights, of class `Lighting`, and reflectances as they are now."""
         if self._settings.bounce_lighting == "transfer":
             self.prepare()
             return BouncedLight(self, None, None)
-        reflectance = self._at_rows(self._points.reflectance)
-        direct = self._at_rows(lambda rows, wavelengths: self._direct(lighting_at(wavelengths), rows, wavelengths))
+        reflectance = self._at_rows(self._reflecting)
+        direct = self._at_rows(lambda rows, wavelengths: self._direct(lighting, rows, wavelengths))
         bounced = self._solve(direct, reflectance, self.channels)
         sent = None
         if not self.state.all_baked:                  # others are one bounce further on
@@ -91,6 +88,9 @@ class Bounces:
         row = lane // packs
         node = mi.Float((lane - row * packs) * len(wavelengths))
         return dr.ravel(spectrum_at(row, type(wavelengths)([mi.MI_CIE_MIN + SPECTRAL_STEP * (node + k) for k in range(len(wavelengths))])))
+
+    def _reflecting(self, rows, wavelengths):
+        return self._points.reflectance(rows, wavelengths, self.state.gloss.share if self.state.glossy else None)
 
     def _direct(self, lighting, rows, wavelengths):
         p, n = (dr.gather(type(v), dr.ravel(v), rows) for v in (self._points.positions, self._points.normals))

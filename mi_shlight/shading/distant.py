@@ -67,11 +67,13 @@ class DistantLights:
 
     def attached(self) -> "DistantLights":
         """A copy that has projected the emitter as it is now; its coefficients carry derivatives if derivatives are on."""
+        if self._map and self._map.grid != directions_of(self._emitter):      # pixels of another number than before
+            self._map = MapProjection(self._emitter, self.order, len(self.spectrum(0)))
         lights = copy.copy(self)
         lights._table = self._map.project() if self._map else None
         return lights
 
-    def coefficients(self, wavelengths, p=None) -> list:
+    def coefficients(self, wavelengths, p) -> list:
         """SH coefficients of the light at an infinite distance, in the world's axes: ``(order + 1)**2`` spectra, radiance times steradian.
 
         Of an attached copy only. They are the same at all points `p`. In spectral variants those of maps are interpolated between
@@ -83,12 +85,10 @@ class DistantLights:
             si.wavelengths = wavelengths
             mean = mi.unpolarized_spectrum(self._emitter.eval(si)) * math.sqrt(4 * math.pi)
             return [mean] + [self.spectrum(0) for _ in range(count - 1)]
-        if self._table is None:                       # TODO remove with the old call
-            return self.attached().coefficients(wavelengths, p)
         row = dr.width(self._table) // count
         if not mi.is_spectral:
             first = mi.UInt32(0)
-            if p is not None and dr.grad_enabled(self._table):
+            if dr.grad_enabled(self._table):
                 # an index for each point: in reverse mode sums to single values would take a kernel each
                 first = dr.minimum(dr.reinterpret_array(mi.UInt32, dr.detach(p.x)), first)
             return [dr.gather(self.spectrum, self._table, first + i, mode=dr.ReduceMode.Expand) for i in range(count)]
@@ -148,13 +148,11 @@ class MapProjection:
 
     def __init__(self, emitter, order: int, channels: int):
         self._emitter, self._order, self._channels = emitter, order, channels
-        self._pixels = emitter.class_name() == "EnvironmentMapEmitter"
-        self.rows, self.columns = SKY_ROWS, 2 * SKY_ROWS
-        if self._pixels:                              # Mitsuba adds a copy of the outer columns on either side
-            self.rows, self.columns = (size - border for size, border in zip(mi.traverse(emitter)["data"].shape, (0, 2)))
+        self.grid = directions_of(emitter)
+        self._rows, self._columns, self._pixels = self.grid
         self._packs = SPECTRAL_NODES // channels if mi.is_spectral else 1
-        self._parts = max(1, min(LANES // self.rows, self.columns // 8))
-        self._weights = aligned(mi.Float, latitude_weights(self.rows, self.columns, order).ravel())
+        self._parts = max(1, min(LANES // self._rows, self._columns // 8))
+        self._weights = aligned(mi.Float, latitude_weights(self._rows, self._columns, order).ravel())
         degrees = [(l, m) for l in range(order + 1) for m in range(-l, l + 1)]
         self._wave = aligned(mi.UInt32, [m if m >= 0 else order - m for _, m in degrees])
         self._weight = aligned(mi.UInt32, [l * (l + 1) // 2 + abs(m) for l, m in degrees])
@@ -167,12 +165,12 @@ class MapProjection:
         t = dr.cross(n, s)                            # the columns' places are symmetric: a mirrored map meets them in another order
         waves = self._waves(s, t, n)
         count, channels, packs = (self._order + 1) ** 2, self._channels, self._packs
-        slices = self.rows * self._parts
+        slices = self._rows * self._parts
         lane = dr.arange(mi.UInt32, count * packs * channels)
         i, node = lane // (packs * channels), lane % (packs * channels)
         pack, channel = node // channels, node % channels
         first = (dr.gather(mi.UInt32, self._wave, i) * channels + channel) * (packs * slices) + pack * slices
-        weight = dr.gather(mi.UInt32, self._weight, i) * self.rows
+        weight = dr.gather(mi.UInt32, self._weight, i) * self._rows
 
         def body(k, total):
             share = dr.gather(mi.Float, self._weights, weight + k // self._parts)
@@ -186,23 +184,23 @@ class MapProjection:
 
     def _waves(self, s, t, n):
         """Fourier terms of parts of all rows: flat, term by term and channel by channel."""
-        order, channels, slices = self._order, self._channels, self.rows * self._parts
+        order, channels, slices = self._order, self._channels, self._rows * self._parts
         lane = dr.arange(mi.UInt32, self._packs * slices)
         piece = lane % slices
-        theta = mi.Float(piece // self._parts) * (math.pi / (self.rows - 1))
+        theta = mi.Float(piece // self._parts) * (math.pi / (self._rows - 1))
         theta = dr.clip(theta, 1e-4, math.pi - 1e-4)                      # poles have no azimuth
         sin, cos = dr.sincos(theta)
-        length = -(-self.columns // self._parts)
+        length = -(-self._columns // self._parts)
         column = (piece % self._parts) * length
 
         def body(k, total):
-            sin_phi, cos_phi = dr.sincos((mi.Float(column + k) + 0.5) * (2 * math.pi / self.columns))
+            sin_phi, cos_phi = dr.sincos((mi.Float(column + k) + 0.5) * (2 * math.pi / self._columns))
             si = dr.zeros(mi.SurfaceInteraction3f)
             si.wi = -(sin * cos_phi * s + sin * sin_phi * t + cos * n)
             if mi.is_spectral:
                 node = (lane // slices) * channels
                 si.wavelengths = type(si.wavelengths)([mi.MI_CIE_MIN + SPECTRAL_STEP * mi.Float(node + c) for c in range(channels)])
-            radiance = mi.unpolarized_spectrum(self._emitter.eval(si)) & (column + k < self.columns)
+            radiance = mi.unpolarized_spectrum(self._emitter.eval(si)) & (column + k < self._columns)
             cosines, sines = multiples(cos_phi, sin_phi, order)
             terms = [wave * value for wave in (*cosines, *sines[1:]) for value in radiance]
             return k + 1, [a + b for a, b in zip(total, terms)]
@@ -210,6 +208,14 @@ class MapProjection:
         start = mi.UInt32(0), [dr.zeros(mi.Float, dr.width(lane)) for _ in range((2 * order + 1) * channels)]
         total = dr.while_loop(start, lambda k, _: k < length, body, mode="symbolic", max_iterations=-1)[1]
         return dr.concat(total)
+
+
+def directions_of(emitter) -> tuple:
+    """Rows and columns of the directions at which an emitter is looked at, and whether they are the places of an envmap's pixels."""
+    if emitter.class_name() != "EnvironmentMapEmitter":
+        return SKY_ROWS, 2 * SKY_ROWS, False
+    rows, columns, _ = mi.traverse(emitter)["data"].shape
+    return rows, columns - 2, True                    # Mitsuba adds a copy of the outer columns on either side
 
 
 def latitude_weights(rows: int, columns: int, order: int) -> np.ndarray:
@@ -221,12 +227,13 @@ def latitude_weights(rows: int, columns: int, order: int) -> np.ndarray:
     step = math.pi / (rows - 1)
     nodes, weights = leggauss(6 + math.ceil(order * step))
     share, weights = (1 + nodes) / 2, weights / 2 * step
-    theta = (np.arange(rows - 1)[:, None] + share) * step
-    directions = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1).reshape(-1, 3)
-    values = sh_matrix(directions, order).reshape(rows - 1, len(nodes), -1) * (weights * np.sin(theta))[..., None]
     out = np.zeros((rows, (order + 1) ** 2))
-    out[:-1] += np.einsum("k,rki->ri", 1 - share, values)
-    out[1:] += np.einsum("k,rki->ri", share, values)
+    for first in range(0, rows - 1, 256):             # bounds the memory
+        theta = (np.arange(first, min(first + 256, rows - 1))[:, None] + share) * step
+        directions = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
+        values = sh_matrix(directions.reshape(-1, 3), order).reshape(*theta.shape, -1) * (weights * np.sin(theta))[..., None]
+        out[first:first + len(theta)] += np.einsum("k,rki->ri", 1 - share, values)
+        out[first + 1:first + 1 + len(theta)] += np.einsum("k,rki->ri", share, values)
     spacing = 2 * math.pi / columns
     tent = spacing * np.sinc(np.arange(order + 1) / columns) ** 2         # numpy's sinc: sin(pi x) / (pi x)
     return np.stack([out[:, l * (l + 1) + m] * tent[m] for l in range(order + 1) for m in range(l + 1)])

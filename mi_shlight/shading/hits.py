@@ -58,6 +58,7 @@ class HitTransfer:
         self._p, self._n = dr.detach(points.p), dr.detach(points.n)
         self._shift = sampler.next_1d(points.active)
         self._samples = settings.pixel_samples
+        self._fit = state.blocked_fit if kind == "visibility" else state.fit
         self._lights = state.bake_lights.at(*table.outlines()) if table else None
 
     def __call__(self, g, lights) -> tuple:
@@ -67,7 +68,7 @@ class HitTransfer:
         sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)
         kind = "shadowed" if self._kind == "exact" and not lights else self._kind
         found = sample_transfer(sight, self._p, self._n, self._order, self._samples, self._shift, self._traced, kind=kind,
-                                fit=self._state.fit if lights and self._kind != "visibility" else None)
+                                fit=self._fit if lights else None)
         traced_visible = found.visibility if kind == "exact" else None
         if not self._baked:
             return found.coeffs, traced_visible

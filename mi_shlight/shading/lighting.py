@@ -8,7 +8,8 @@ import mitsuba as mi
 
 from ..sh.windows import window_factors
 from ..transfer.cosine import cosine_transfer
-from .near import NearLights, Points
+from .glossy import arriving
+from .near import NearLights, Points, added
 
 
 class Lighting:
@@ -18,55 +19,81 @@ class Lighting:
     ----------
     state : SceneState
     settings : Settings
-    nodes : NodeTable or None
-        The light grid for this picture, if there is one.
+    nodes, gloss_nodes : NodeTable or None
+        The light grids for this picture, if there are any; that for gloss has degrees of its own.
     table : LightTable or None
         Attached; None without polygonal lights.
     wavelengths
         Of the rays.
     """
 
-    def __init__(self, state, settings, table, nodes, wavelengths):
+    def __init__(self, state, settings, table, nodes, gloss_nodes):
         self._state, self._settings, self.table = state, settings, table
         self.near = NearLights(state, table, nodes, settings.order, settings.method)
-        self.distant = state.distant.coefficients(wavelengths) if state.distant.projected else None
+        self._gloss_near = NearLights(state, table, gloss_nodes, settings.gloss_light_order, settings.method)
+        self.distant = state.distant.attached()
 
-    def white(self, points: Points, transfer_of=None):
+    def white(self, points: Points, transfer_of=None, deltas: bool = True):
         """Radiance that a white diffuse surface sends; spectrum.
 
         `transfer_of(g, lights)` gives the transfer of a light group, as :py:class:`~mi_shlight.shading.hits.BakedTransfer` does; the group
-        of distant lights comes after those of the polygonal ones. Without it nothing casts shadows.
+        of distant lights comes after those of the polygonal ones. Without it nothing casts shadows. `deltas`: whether lights without an
+        extent count.
         """
         if transfer_of is None:
             total = self.near.unshadowed(points)
-            if self.distant is not None:
-                total += self._far(cosine_transfer(points.n, self._settings.order))
+            if self.distant.projected:
+                total += self._far(points, cosine_transfer(points.n, self._settings.order))
         else:
             total = self.transferred(points, transfer_of)
+        if not deltas:
+            return total
         lit = points.p, points.n, points.wavelengths, points.active
-        return total + self._state.distant.delta_irradiance(*lit, transfer_of is not None)
+        return total + self.distant.delta_irradiance(*lit, transfer_of is not None)
 
     def transferred(self, points: Points, transfer_of):
         """The same by lights that have an extent, for any transfer."""
         settings = self._settings
         factors = window_factors(settings.window, settings.order) if settings.window != "none" else None
         total = self.near.shadowed(points, _windowed(transfer_of, None if settings.localised else factors))
-        if self.distant is None:
+        if not self.distant.projected:
             return total
         coeffs, _ = _windowed(transfer_of, factors)(mi.UInt32(self._state.group_count), None)
-        return total + self._far(dr.detach(coeffs))
+        return total + self._far(points, dr.detach(coeffs))
+
+    def arriving(self, points: Points, blocked_of=None) -> list:
+        """What arrives at the points for gloss to reflect, of all lights but those without an extent: for each channel the SH coefficients
+        to ``bsdf_order``.
+
+        `blocked_of(g, lights)` gives the coefficients of the part of a light group that is blocked, as `transfer_of` of :py:meth:`white`
+        does. Without it nothing is.
+        """
+        def shadow_of(g, lights):
+            if blocked_of is None:
+                return lambda light: light
+            blocked = [dr.detach(b) for b in blocked_of(g, lights)[0]]
+            return lambda light: arriving(blocked, light, order)
+
+        order = self._settings.bsdf_order
+        total = self._gloss_near.coefficients(points, shadow_of=shadow_of, order=order)
+        if not self.distant.projected:
+            return total
+        far = [list(channel) for channel in zip(*self.distant.coefficients(points.wavelengths, points.p))]
+        return added(total, shadow_of(mi.UInt32(self._state.group_count), None)(far))
 
     def coefficients(self, points: Points, weigh=list) -> list:
         """SH coefficients of all lights but those without an extent, at the points: one list for each of the floats that `weigh` makes of
         a radiance.
         """
         coeffs = self.near.coefficients(points, weigh)
-        if self.distant is None:
+        if not self.distant.projected:
             return coeffs
-        return [[c + d for c, d in zip(*lists)] for lists in zip(coeffs, zip(*(weigh(d) for d in self.distant)))]
+        distant = self.distant.coefficients(points.wavelengths, points.p)
+        return [[c + d for c, d in zip(*lists)] for lists in zip(coeffs, zip(*(weigh(d) for d in distant)))]
 
-    def _far(self, transfer: list):
-        return sum((c * t for c, t in zip(self.distant, transfer)), type(self.distant[0])(0))
+    def _far(self, points: Points, transfer: list):
+        coeffs = self.distant.coefficients(points.wavelengths, points.p)
+        return sum((c * t for c, t in zip(coeffs, transfer)), self.distant.spectrum(0))
 
 
 def _windowed(transfer_of, factors):

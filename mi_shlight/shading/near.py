@@ -59,22 +59,23 @@ class NearLights:
         shading = lambda n: cosine_transfer(n, self._order), *self._unshadowed_shaders(points.n), None
         return self._sum(points, lambda g, lights: shading)
 
-    def coefficients(self, points: Points, weigh=list, shadow_of=None) -> list:
+    def coefficients(self, points: Points, weigh=list, shadow_of=None, order: int | None = None) -> list:
         """SH coefficients of all lights at the points, for each of the floats that `weigh` makes of a radiance.
 
-        `shadow_of(g, lights)`: for a light group, a function that takes and gives such lists of coefficients: what of the group's light
-        arrives. It carries no derivatives.
+        `shadow_of(g, lights)`: for a light group a function from such lists of coefficients to what of the group's light arrives, as lists
+        to degree `order`. It carries no derivatives.
         """
         state, table, nodes, lit, wavelengths = self._state, self._table, self._nodes, points.active, points.wavelengths
         count, channels = (self._order + 1) ** 2, len(weigh(self._spectrum(0)))
+        zeros = lambda size: [[mi.Float(0) for _ in range(size)] for _ in range(channels)]
+        nothing, size = lambda: zeros(count), count if order is None else (order + 1) ** 2
         if table is None:
-            return [[mi.Float(0)] * count] * channels
+            return zeros(size)
         meshes = table.mesh_light(wavelengths, weigh) if len(table.meshes) and nodes is None else None
-        nothing = lambda: [[mi.Float(0) for _ in range(count)] for _ in range(channels)]
 
         def each(body, total, first, last, x):
             step = lambda k, total, x: (k + 1, body(k, total, x), x)
-            return _added(total, dr.while_loop((first, nothing(), x), lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1])
+            return added(total, dr.while_loop((first, nothing(), x), lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1])
 
         def polygon(i, total, x):
             k = table.polygon(i)
@@ -83,7 +84,7 @@ class NearLights:
 
         def mesh(k, total, x):
             coeffs = project_mesh_light(meshes.part(k), x, self._order, self._method)
-            return _added(total, [coeffs] if channels == 1 else [[c[i] for c in coeffs] for i in range(channels)])
+            return added(total, [coeffs] if channels == 1 else [[c[i] for c in coeffs] for i in range(channels)])
 
         def group_body(g, total, x):
             bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
@@ -96,9 +97,9 @@ class NearLights:
                 light = each(mesh, light, *bounds(state.meshes), x)
             if shadow_of:
                 light = shadow_of(g, bounds(state.groups))(light)
-            return g + 1, _added(total, light), x
+            return g + 1, added(total, light), x
 
-        start = mi.UInt32(0), nothing(), mi.Point3f(points.p)
+        start = mi.UInt32(0), zeros(size), mi.Point3f(points.p)
         return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
     def _sum(self, points: Points, shading_of):
@@ -171,7 +172,8 @@ class NearLights:
         return shade, shade_mesh
 
 
-def _added(lists: list, others: list) -> list:
+def added(lists: list, others: list) -> list:
+    """Sums of the entries of two lists of lists."""
     return [[a + b for a, b in zip(*pair)] for pair in zip(lists, others)]
 
 

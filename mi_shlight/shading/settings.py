@@ -80,6 +80,13 @@ class Settings:
         return self.transfer_samples if self.transfer_domain == "pixel" and self.transfer_samples else DEFAULT_SAMPLES["pixel"]
 
     @property
+    def gloss_light_order(self) -> int:
+        """Highest degree of the lights that meet gloss: of less, the products with what is blocked would be cut off, and transfer that is
+        fitted to the lights' directions means nothing band by band.
+        """
+        return self.bsdf_order + (0 if self.parts.direct == "unshadowed" else self.visibility_order)
+
+    @property
     def parts(self) -> Parts:
         """What `transfer` asks for."""
         return parse_transfer("shprt", self.transfer)

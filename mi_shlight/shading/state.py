@@ -19,13 +19,14 @@ class SceneState:
     """What the integrator keeps of a scene between renders: everything that stays as long as no shape moves."""
 
     DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "facets", "polygons", "meshes", "occluders", "table", "bake_lights",
-                                  "lookup", "grid", "distant", "bounces", "gloss", "fit"), object)
+                                  "lookup", "blocked_lookup", "grid", "gloss_grid", "distant", "bounces", "gloss", "fit",
+                                  "blocked_fit"), object)
 
     def __init__(self, scene, settings, seen: Fingerprint):
         self.seen = seen
         complain = refuse if settings.strict else warn
         self.lights = polygon_lights(scene, complain)
-        self.distant = DistantLights(scene, settings.order, complain)
+        self.distant = DistantLights(scene, max(settings.order, settings.gloss_light_order if settings.parts.glossy else 0), complain)
         if not (self.lights or self.distant.projected or self.distant.delta_count):
             refuse_darkness()
         self.receivers = receivers(scene, complain, settings.parts.glossy)
@@ -41,7 +42,7 @@ class SceneState:
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
         self.table = self.bake_lights = self.moving = self.facets = self.polygons = self.meshes = None
-        self.lookup = self.grid = self.bounces = self.fit = None
+        self.lookup = self.blocked_lookup = self.grid = self.gloss_grid = self.bounces = self.fit = self.blocked_fit = None
         if self.lights:
             self.table = LightTable(self.lights)
             # bounds of each group among the facets, the polygons and the lights of triangles
@@ -52,9 +53,16 @@ class SceneState:
             self.moving = MovingLights(self.lights)
             if settings.localised and not (self.all_baked and settings.transfer_domain == "vertex"):
                 self.fit = cone_fit(settings.order, settings.pixel_samples)
+                self.blocked_fit = cone_fit(settings.visibility_order, settings.pixel_samples) if self.glossy else None
             if settings.grid_resolution:
-                self.grid = SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution, settings.grid_interpolation,
-                                      settings.grid_error, settings.order, settings.method)
+                grid = lambda order: SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution,
+                                               settings.grid_interpolation, settings.grid_error, order, settings.method)
+                self.grid, self.gloss_grid = grid(settings.order), grid(settings.gloss_light_order) if self.glossy else None
+
+    @property
+    def glossy(self) -> bool:
+        """True if gloss is rendered and there is some."""
+        return self.gloss is not None and self.gloss.present
 
     def follow(self, seen: Fingerprint) -> bool:
         """Go along with lights that have moved, and with nothing else; False if the scene has to be looked at anew."""

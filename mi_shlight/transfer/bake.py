@@ -117,7 +117,7 @@ def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max
                 spread_to_buried(mesh, buried[side], values[:, side])
     conflict = float(traced.conflict.max(initial=0))
     if conflict > 1e-3:
-        warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the hemisphere sees two lights behind each other "
+        warnings.warn(f"bake_transfer(): at some point {100 * conflict:.2g} % of the rays see two lights behind each other "
                       f"with an occluder between; more than {MAX_GROUPS} lights share one visibility, so the farther light shines "
                       "through there.", UnsupportedSceneWarning, stacklevel=3)
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}

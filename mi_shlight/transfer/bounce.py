@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import message
-from ..scene import aligned, keep_quiet, mesh_arrays, receivers, shape_index
+from ..scene import aligned, mesh_arrays, shape_index
 from .bake import ROWS_PER_LAUNCH
 from .mesh import contacts, refine
 from .visibility import GOLDEN, lifted
@@ -41,8 +41,8 @@ class BakedPoints:
     ----------
     transfer : Transfer
         Whose rows are meant.
-    scene : mi.Scene
-        For which :py:meth:`Transfer.check` passes.
+    lit : list of Receiver
+        Receivers of a scene for which :py:meth:`Transfer.check` passes.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class BakedPoints:
 
     DRJIT_STRUCT = dict.fromkeys(("positions", "normals", "_shape", "_side", "_faces", "_uv"), object)
 
-    def __init__(self, transfer, scene):
+    def __init__(self, transfer, lit: list):
         self.count = count = transfer.coeffs.shape[1]
         blocks = {block.content: block for block in transfer.meshes}
         positions, normals = np.zeros((count, 3), np.float32), np.tile(np.float32([0, 0, 1]), (count, 1))
@@ -64,7 +64,7 @@ class BakedPoints:
         faces = np.zeros((REFLECTANCE_SAMPLES, count), np.uint32)
         uv = np.zeros((2, REFLECTANCE_SAMPLES, count), np.float32)
         self.meshes = []
-        for receiver in receivers(scene, keep_quiet):
+        for receiver in lit:
             block = blocks.get(receiver.content) if receiver.baked else None
             if block is None:
                 continue
@@ -83,7 +83,7 @@ class BakedPoints:
         self._uv = aligned(mi.Float, np.moveaxis(uv, 0, -1).ravel())
         dr.eval(self.positions, self.normals)
 
-    def reflectance(self, rows, wavelengths):
+    def reflectance(self, rows, wavelengths, share=None):
         """Diffuse reflectance around baked points as it is now, with its derivatives; unpolarised spectrum.
 
         Mean over stratified points of the surrounding cells, weighted as interpolation weighs the baked point there.
@@ -94,6 +94,8 @@ class BakedPoints:
             Numbers of the points.
         wavelengths
             In nm, as a ray carries them.
+        share : function, optional
+            ``share(shape, back_side, active)``: part of the reflectance of a BSDF that is diffuse.
         """
         kind = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
         stride = dr.opaque(mi.UInt32, self.count)
@@ -107,7 +109,10 @@ class BakedPoints:
             ray.wavelengths = wavelengths
             si = pi.compute_surface_interaction(ray)
             si.wi = mi.Vector3f(0, 0, dr.gather(mi.Float, self._side, rows))
-            return s + 1, total + mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si)), rows, wavelengths
+            value = mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si))
+            if share:
+                value *= share(si.shape, si.wi.z < 0, True)
+            return s + 1, total + value, rows, wavelengths
 
         state = mi.UInt32(0), kind(0), rows, wavelengths
         total = dr.while_loop(state, lambda s, *_: s < REFLECTANCE_SAMPLES, body, mode="symbolic", max_iterations=-1)[1]

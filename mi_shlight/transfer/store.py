@@ -72,8 +72,8 @@ class Transfer:
     max_edge : float
         Longest edge of a baked triangle, scene units.
     conflict : float
-        Largest cosine-weighted part of a point's hemisphere, 0 to 1, in which two lights of one group stand behind each other
-        with an occluder between: bounds the relative error of that point's irradiance from those directions.
+        Largest cosine-weighted part, 0 to 1, of the directions looked at from a point in which two lights of one group stand behind each
+        other with an occluder between: bounds the relative error of that point's irradiance from those directions.
     meshes : list of MeshBlock
     occluders : str
         Hash over all shapes of the scene that can block light.
@@ -119,10 +119,10 @@ class Transfer:
         with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, **arrays)
 
-    def check(self, scene) -> None:
-        """Raise ValueError unless the bake belongs to the geometry of `scene`."""
+    def check(self, scene, lit=None) -> None:
+        """Raise ValueError unless the bake belongs to the geometry of `scene`; `lit`: its receivers, if they are known."""
         known = {block.content for block in self.meshes}
-        strange = [r.name for r in receivers(scene, keep_quiet) if r.baked and r.content not in known]
+        strange = [r.name for r in lit or receivers(scene, keep_quiet) if r.baked and r.content not in known]
         if strange or self.occluders != occluder_hash(scene):
             what = (f"these meshes differ or are new: {', '.join(strange[:5])}" if strange
                     else "a shape that can cast shadows was added, removed or moved")
@@ -130,17 +130,17 @@ class Transfer:
                              "always load scenes with optimize=False (Mitsuba otherwise merges meshes in an order that changes from "
                              "load to load).")
 
-    def fits(self, scene) -> bool:
+    def fits(self, scene, lit=None) -> bool:
         """True if :py:meth:`check` would pass."""
         try:
-            self.check(scene)
+            self.check(scene, lit)
         except ValueError:
             return False
         return True
 
-    def look_up(self, scene) -> "TransferLookup":
-        """Device-side tables for the shapes of `scene` in the current variant."""
-        return TransferLookup(self, scene)
+    def look_up(self, lit: list) -> "TransferLookup":
+        """Device-side tables for the receivers `lit` of a scene in the current variant."""
+        return TransferLookup(self, lit)
 
 
 def load_transfer(path) -> Transfer:
@@ -195,10 +195,10 @@ class TransferLookup:
 
     DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "means", "row_count"), object)
 
-    def __init__(self, transfer: Transfer, scene):
+    def __init__(self, transfer: Transfer, lit: list):
         blocks = {block.content: block for block in transfer.meshes}
-        shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in receivers(scene, keep_quiet) if r.baked]
-        size = 1 + max([shape_index(s) for s in scene.shapes()], default=0)
+        shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in lit if r.baked]
+        size = 1 + max((shape_index(r.shape) for r in lit), default=0)
         self.size, self.kind = size, transfer.transfer
         baked, first_face, back = np.zeros(size, bool), np.zeros(size, np.uint32), np.zeros(size, np.uint32)
         subdivision, first, rows = [], [], []

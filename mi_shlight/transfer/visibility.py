@@ -193,24 +193,24 @@ class BakeLights:
         across = dr.cross(normal, axis)
         along = dr.cross(normal, across)
 
-        def edge_body(e, inside, near, near_q, near_edge, x, n, d, hit):
-            v_i, v_j = self._vertex(e, 0) - x, self._vertex(e, 1) - x
-            # even-odd rule in the light's plane
-            y_i, y_j = dr.dot(v_i - hit, across), dr.dot(v_j - hit, across)
-            x_i, x_j = dr.dot(v_i - hit, along), dr.dot(v_j - hit, along)
+        def crossings(e, inside, x, hit):             # even-odd rule in the light's plane
+            v_i, v_j = self._vertex(e, 0) - x - hit, self._vertex(e, 1) - x - hit
+            y_i, y_j, x_i, x_j = dr.dot(v_i, across), dr.dot(v_j, across), dr.dot(v_i, along), dr.dot(v_j, along)
             crosses = (y_i > 0) != (y_j > 0)
             right = x_i - y_i * (x_j - x_i) / dr.select(crosses, y_j - y_i, 1) > 0
-            inside = inside ^ (crosses & right)
-            above, v_i, v_j = _clip_to_horizon(v_i, v_j, n)
+            return e + 1, inside ^ (crosses & right), x, hit
+
+        inside = dr.while_loop((first, mi.Bool(False), x, hit), lambda e, *_: e < last, crossings, mode="symbolic")[1] & hits_plane
+
+        def arcs(e, near, near_q, near_edge, x, n, d):
+            above, v_i, v_j = _clip_to_horizon(self._vertex(e, 0) - x, self._vertex(e, 1) - x, n)
             q, chord2 = _nearest_on_arc(v_i, v_j, d)
             closer = above & (chord2 < near)
-            return (e + 1, inside, dr.select(closer, chord2, near), dr.select(closer, q, near_q), dr.select(closer, e, near_edge), x, n,
-                    d, hit)
+            return e + 1, dr.select(closer, chord2, near), dr.select(closer, q, near_q), dr.select(closer, e, near_edge), x, n, d
 
-        start = (first, mi.Bool(False), mi.Float(dr.inf), mi.Vector3f(d), mi.UInt32(0), x, n, d, hit)
-        _, inside, chord2, q, edge, *_ = dr.while_loop(start, lambda e, *_: e < last, edge_body, mode="symbolic")
-        inside &= hits_plane
-        return inside, dr.select(inside, through, dr.inf), dr.select(inside, 0, chord2), dr.select(inside, d, q), edge
+        start = (dr.select(inside, last, first), dr.select(inside, mi.Float(0), dr.inf), mi.Vector3f(d), mi.UInt32(0), x, n, d)
+        _, chord2, q, edge, *_ = dr.while_loop(start, lambda e, *_: e < last, arcs, mode="symbolic")
+        return inside, dr.select(inside, through, dr.inf), chord2, q, edge
 
     def _vertex(self, edge, end: int):
         return dr.gather(mi.Point3f, self.edges, 2 * edge + end)

@@ -6,7 +6,7 @@ import pytest
 mi = pytest.importorskip("mitsuba")
 
 from mi_shlight import bake_transfer
-from mi_shlight.scene import mesh_arrays
+from mi_shlight.scene import mesh_arrays, receivers
 from mi_shlight.transfer.mesh import RIM, refine
 
 BACK = 100.0
@@ -50,7 +50,7 @@ def lookup(room):
     assert len(rows) == transfer.coeffs.shape[1]
     rows = np.concatenate([rows, np.ones((len(rows), 1))], axis=1).astype(np.float32)
     transfer.coeffs = np.stack([rows, 2 * rows])
-    return transfer.look_up(room)
+    return transfer.look_up(receivers(room))
 
 
 def shoot(room, lookup, origins, directions, back_side, group=0):
