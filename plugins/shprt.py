@@ -265,14 +265,14 @@ def build():
                 return None
             state = self._state
             if changed or state.lookup is None:
-                state.lookup = None
+                lookup, blocked_lookup, state.lookup = old and old.lookup, old and old.blocked_lookup, None
                 transfer = self._current_transfer(scene, self._transfer, parts.direct, same_geometry, progress)
                 keep = same_geometry and transfer is self._transfer
-                lookup = old.lookup if keep else transfer.look_up(state.receivers)
+                lookup = lookup if keep else transfer.look_up(state.receivers)
                 if state.glossy:
                     blocked = self._current_transfer(scene, self._blocked, "visibility", same_geometry, progress)
                     kept = same_geometry and blocked is self._blocked
-                    state.blocked_lookup, self._blocked = old.blocked_lookup if kept else blocked.look_up(state.receivers), blocked
+                    state.blocked_lookup, self._blocked = blocked_lookup if kept else blocked.look_up(state.receivers), blocked
                 state.lookup, self._transfer = lookup, transfer
                 if parts.interreflected:
                     bounces = old and keep and old.bounces

@@ -11,7 +11,7 @@ import numpy as np
 from ..environment.nodes import leggauss
 from ..scene import aligned, warn
 from ..sh.lobes import sh_matrix
-from ..sh.rotation import multiples, rotate_frame
+from ..sh.rotation import euler_angles, multiples, quarter_turn
 
 SKY_ROWS = 180
 """Latitudes at which an emitter without pixels of its own is looked at; an even number, so that a horizon lies halfway between two."""
@@ -144,7 +144,7 @@ class MapProjection:
     functions. That is ``W H (2 n + 1)`` steps where the harmonics of each pixel would be ``W H (n + 1)^2``.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("_weights", "_wave", "_weight"), object)
+    DRJIT_STRUCT = dict.fromkeys(("_weights", "_wave", "_weight", "_quarters", "_m", "_partner"), object)
 
     def __init__(self, emitter, order: int, channels: int):
         self._emitter, self._order, self._channels = emitter, order, channels
@@ -153,9 +153,11 @@ class MapProjection:
         self._packs = SPECTRAL_NODES // channels if mi.is_spectral else 1
         self._parts = max(1, min(LANES // self._rows, self._columns // 8))
         self._weights = aligned(mi.Float, latitude_weights(self._rows, self._columns, order).ravel())
+        self._quarters = [_sparse(rows) for rows in quarter_turn(order)]
         degrees = [(l, m) for l in range(order + 1) for m in range(-l, l + 1)]
         self._wave = aligned(mi.UInt32, [m if m >= 0 else order - m for _, m in degrees])
         self._weight = aligned(mi.UInt32, [l * (l + 1) // 2 + abs(m) for l, m in degrees])
+        self._m, self._partner = mi.Int32([m for _, m in degrees]), mi.Int32([l * (l + 1) - m for l, m in degrees])
 
     def project(self):
         """Coefficients in the world's axes as one flat buffer: for each of them its channels, or its `SPECTRAL_NODES` wavelengths."""
@@ -178,9 +180,34 @@ class MapProjection:
 
         local = dr.while_loop((mi.UInt32(0), dr.zeros(mi.Float, len(lane))), lambda k, _: k < slices, body, mode="symbolic",
                               max_iterations=-1)[1]
-        row = dr.arange(mi.UInt32, packs * channels)
-        coeffs = [dr.gather(mi.Float, local, i * packs * channels + row) for i in range(count)]
-        return dr.concat(rotate_frame(coeffs, s, t, n, self._order))
+        alpha, beta, gamma = (dr.atan2(sin, cos) for cos, sin in euler_angles(n, s))
+        return self._about_z(self._quarter(self._about_z(self._quarter(self._about_z(local, gamma), 0), beta), 1), alpha)
+
+    def _about_z(self, coeffs, angle):
+        """Flat coefficients turned about z. They are lanes here, where rotate_frame has values: compiled at once at any order."""
+        i, node = self._lanes(coeffs)
+        m, other = (dr.gather(mi.Int32, table, i) for table in (self._m, self._partner))
+        sin, cos = dr.sincos(mi.Float(m) * angle)     # of -m the sine turns round as it has to
+        row = dr.width(coeffs) // dr.width(self._m)
+        return coeffs * cos - dr.gather(mi.Float, coeffs, mi.UInt32(other) * row + node) * sin
+
+    def _quarter(self, coeffs, transposed: int):
+        """Flat coefficients turned by 90 degrees about x, or back."""
+        (first, column, value), (i, node) = self._quarters[transposed], self._lanes(coeffs)
+        row = dr.width(coeffs) // dr.width(self._m)
+
+        def body(k, last, total, node):
+            share = dr.gather(mi.Float, coeffs, dr.gather(mi.UInt32, column, k) * row + node)
+            return k + 1, last, dr.fma(dr.gather(mi.Float, value, k), share, total), node
+
+        bounds = (dr.gather(mi.UInt32, first, i + k) for k in (0, 1))
+        return dr.while_loop((*bounds, dr.zeros(mi.Float, dr.width(coeffs)), node), lambda k, last, *_: k < last, body, mode="symbolic",
+                             max_iterations=-1)[2]
+
+    def _lanes(self, coeffs) -> tuple:
+        """Of each entry the number of the coefficient, and of the channel or wavelength."""
+        lane, row = dr.arange(mi.UInt32, dr.width(coeffs)), dr.width(coeffs) // dr.width(self._m)
+        return lane // row, lane % row
 
     def _waves(self, s, t, n):
         """Fourier terms of parts of all rows: flat, term by term and channel by channel."""
@@ -208,6 +235,13 @@ class MapProjection:
         start = mi.UInt32(0), [dr.zeros(mi.Float, dr.width(lane)) for _ in range((2 * order + 1) * channels)]
         total = dr.while_loop(start, lambda k, _: k < length, body, mode="symbolic", max_iterations=-1)[1]
         return dr.concat(total)
+
+
+def _sparse(rows: tuple) -> tuple:
+    """Rows of (column, value) as tables: where each row begins, columns, values."""
+    entries = [entry for row in rows for entry in row]
+    return (aligned(mi.UInt32, np.cumsum([0, *map(len, rows)])), aligned(mi.UInt32, [column for column, _ in entries]),
+            aligned(mi.Float, [value for _, value in entries]))
 
 
 def directions_of(emitter) -> tuple:

@@ -59,7 +59,7 @@ class Gloss:
                         self._told.add((key[0], found.complaint))
                         self._complain(f"BSDF '{bsdf.id()}' of shape '{receiver.name}' ({bsdf.class_name()}): {found.complaint}")
                     if found.rest:
-                        sides.append((bsdf, side, found.share))
+                        sides.append((bsdf, side, found))
                     known[key] = len(sides) if found.rest else 0, found.share
                 first[entry + back], shares[entry + back] = known[key]
         self._sides, self._first, self._shares, self._seen = sides, mi.UInt32(first), mi.Float(shares), seen
@@ -68,7 +68,7 @@ class Gloss:
 
     def attached(self):
         """The tables, with derivatives by the parameters of BSDFs where these are asked for."""
-        return self._tabulate() if dr.grad_enabled(self._seen.held) else self._tables
+        return self._tabulate() if dr.grad_enabled(self._seen.live) else self._tables
 
     def _tabulate(self):
         if not self._sides:
@@ -171,12 +171,13 @@ class _Parameters:
     """Identity of the parameters of BSDFs, as :py:class:`mi_shlight.scene.Fingerprint` has that of shapes."""
 
     def __init__(self, bsdfs):
-        self.held, self.values = [], []
+        self.live, self.values = [], []
         for bsdf in bsdfs:
             for key, value in mi.traverse(bsdf).items():
-                arrays = _arrays(value)
-                self.held += arrays
-                self.values.append((key, [dr.detach(a).index for a in arrays] or str(value)))
+                arrays = _arrays(value)               # which go along with the BSDF
+                self.live += arrays
+                self.values.append((key, [a.index for a in map(dr.detach, arrays)] or str(value)))
+        self._held = [dr.detach(a) for a in self.live]
 
 
 def _arrays(value) -> list:

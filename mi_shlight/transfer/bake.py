@@ -77,8 +77,11 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
         raise TypeError(message(name, "localised", "be True or False", localised))
     if not (isinstance(progress, bool) or callable(progress)):
         raise TypeError(message(name, "progress", "be True, False or a callable (done, total)", progress))
-    return trace_transfer(scene, polygon_lights(scene), receivers(scene), order, samples, max_edge, light_margin, progress, transfer,
-                          localised, scene.environment() is not None)
+    lights, distant = polygon_lights(scene), scene.environment() is not None
+    if not (lights or distant):
+        raise ValueError(message(name, "scene", "have a polygonal or distant light", "none",
+                                 "Light from points and directions has exact shadows, which are traced when a picture is rendered."))
+    return trace_transfer(scene, lights, receivers(scene), order, samples, max_edge, light_margin, progress, transfer, localised, distant)
 
 
 def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max_edge: float, light_margin: float, progress,

@@ -47,7 +47,7 @@ class BakedPoints:
     Attributes
     ----------
     count : int
-        Rows R of the bake.
+        Rows R of the bake, or 1 if there are none.
     positions, normals : mi.Point3f, mi.Normal3f
         World space, without derivatives; normals of back rows point to the back.
     meshes : list of (int, BakeMesh)
@@ -57,7 +57,7 @@ class BakedPoints:
     DRJIT_STRUCT = dict.fromkeys(("positions", "normals", "_shape", "_side", "_faces", "_uv"), object)
 
     def __init__(self, transfer, lit: list):
-        self.count = count = transfer.coeffs.shape[1]
+        self.count = count = max(transfer.coeffs.shape[1], 1)       # in a scene without meshes one that nothing meets
         blocks = {block.content: block for block in transfer.meshes}
         positions, normals = np.zeros((count, 3), np.float32), np.tile(np.float32([0, 0, 1]), (count, 1))
         shape, side = np.zeros(count, np.uint32), np.ones(count, np.float32)

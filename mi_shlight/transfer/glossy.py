@@ -39,14 +39,18 @@ LARGEST_ANGLE = math.pi / 2 - 1e-3
 RANKS = 32
 """Quadrature points along a meridian of half vectors, and meridians of one half of the hemisphere."""
 
-TEXTURE_SAMPLES = 16
-"""Points of the unit square of texture coordinates over which a table of a textured BSDF is averaged."""
+TEXTURE_SAMPLES = 55, 34
+"""A table of a textured BSDF is averaged over so many points of the unit square of texture coordinates, a Fibonacci lattice."""
 
 PACKET = 16
 """Numbers that are read together."""
 
 TOLERANCE = 1e-3
 """Part of the largest value by which f may differ from what it is taken for: isotropic, Lambertian."""
+
+
+VARIATION = 0.05
+"""Part of the largest value of the rest by which it may vary over a surface without a complaint."""
 
 
 class Reflection(NamedTuple):
@@ -56,8 +60,10 @@ class Reflection(NamedTuple):
     """Of the diffuse reflectance that is left to diffuse transfer, 0 to 1."""
     rest: bool
     """True if something else is left to be tabulated."""
+    textured: bool
+    """True if that varies over the surface."""
     complaint: str | None
-    """Why the rest cannot be tabulated."""
+    """What is wrong with that, or why it cannot be tabulated."""
 
 
 def lobe_count(order: int) -> int:
@@ -93,8 +99,8 @@ class LobeQuadrature:
         theta, directions, weights = quadrature()
         self.angles, self.directions, self.weights = (aligned(mi.Float, values.ravel()) for values in (theta, directions, weights))
 
-    def table(self, bsdf, side: int, share: float, order: int, factors) -> mi.Float:
-        """G of (2) for one side of a BSDF, in rows of :py:func:`row_length` numbers, for each angle one row for each channel; coefficients
+    def table(self, bsdf, side: int, found: Reflection, order: int, factors) -> mi.Float:
+        """G of (2) for one side of a BSDF as :py:func:`look_at` `found` it, in rows of :py:func:`row_length` numbers, for each angle one row for each channel; coefficients
         in the order of their flat index. Degree l is multiplied by ``factors[l]``.
 
         Carries the derivatives by the BSDF's parameters.
@@ -103,7 +109,7 @@ class LobeQuadrature:
         lane = dr.arange(mi.UInt32, NODES * points)
         sin, cos = dr.sincos(dr.gather(mi.Float, self.angles, lane // points))
         omega = dr.gather(mi.Vector3f, self.directions, lane)
-        rest = _mean_rest(bsdf, side, share, mi.Vector3f(sin, 0, cos), omega) * dr.gather(mi.Float, self.weights, lane)
+        rest = _mean_rest(bsdf, side, found, mi.Vector3f(sin, 0, cos), omega) * dr.gather(mi.Float, self.weights, lane)
         channels, values = len(rest), dr.ravel(rest)
         dr.eval(values)
         kept = [l * (l + 1) + m for l in range(order + 1) for m in range(l + 1)]
@@ -181,37 +187,41 @@ def look_at(bsdf, side: int, diffuse: bool) -> Reflection:
     polar, turn = np.stack([polar, polar[[0, 0]]], axis=1).reshape(2, -1), np.stack([turn, turn[[0, 0]] + [[0], [math.pi]]], axis=1).reshape(2, -1)
     uv = mi.Point2f(*(aligned(mi.Float, np.tile(part, 2)) for part in u[:2]))
 
-    def sampled(extra):
+    def sampled(extra, uv):
         sin, x, y = np.sqrt(1 - polar * polar), np.cos(turn + extra), np.sin(turn + extra)
         viewer, omega = (mi.Vector3f(*(aligned(mi.Float, row) for row in rows)) for rows in np.stack([sin * x, sin * y, polar], axis=1))
         values = _evaluate(bsdf, side, viewer, omega, uv, diffuse)
         return [np.array(v + dr.zeros(mi.Float, 2 * count)).reshape(-1, 2 * count) for v in values]
 
     with dr.suspend_grad():
-        value, lambertian = sampled(0)
-        turned = sampled(1)[0]
+        value, lambertian = sampled(0, uv)
+        turned = sampled(1, uv)[0]
+        in_one_place = sampled(0, mi.Point2f(0.37, 0.41))
     largest = np.abs(value).max(initial=0)
     if not np.isfinite(value).all() or not np.isfinite(lambertian).all():
-        return Reflection(float(diffuse), False, "it cannot be evaluated apart from a surface; only its diffuse reflectance is rendered.")
+        return Reflection(float(diffuse), False, False, "it cannot be evaluated apart from a surface; only its diffuse reflectance is rendered.")
     if np.abs(turned - value).max() > TOLERANCE * largest:
-        return Reflection(float(diffuse), False, "it is anisotropic, which is not modelled; its gloss is left out.")
+        return Reflection(float(diffuse), False, False, "it is anisotropic, which is not modelled; its gloss is left out.")
     base, share = lambertian.sum(axis=0)[:count], 0.0
     if base.max() > 0:
         # what most pairs have: those that see the gloss are few, unless all is gloss
         share = float(np.clip(np.median(value.sum(axis=0)[:count][base > 0] / base[base > 0]), 0, 1))
-    rest = np.abs(value - share * lambertian).max() > TOLERANCE * largest
-    return Reflection(share, bool(rest), None)
+    rest = value - share * lambertian
+    variation = np.abs(rest - (in_one_place[0] - share * in_one_place[1])).max()
+    complaint = "its gloss is rendered with the mean of its textures." if variation > VARIATION * np.abs(rest).max() else None
+    glossy = bool(np.abs(rest).max() > TOLERANCE * largest)
+    return Reflection(share, glossy, glossy and bool(variation > TOLERANCE * largest), glossy and complaint or None)
 
 
-def _mean_rest(bsdf, side: int, share: float, viewer, omega):
+def _mean_rest(bsdf, side: int, found: Reflection, viewer, omega):
     """g of (1), averaged over textures; unpolarised spectrum."""
-    count = TEXTURE_SAMPLES if mi.has_flag(bsdf.flags(), mi.BSDFFlags.SpatiallyVarying) else 1
+    count, step = TEXTURE_SAMPLES if found.textured else (1, 0)
     total = 0
     for k in range(count):
-        uv = mi.Point2f((0.5 + k * 0.7548777) % 1, (0.5 + k * 0.5698403) % 1)
+        uv = mi.Point2f((k + 0.5) / count, (k * step % count + 0.5) / count)
         dr.make_opaque(uv)
-        value, lambertian = _evaluate(bsdf, side, viewer, omega, uv, share > 0)
-        total = total + (value - share * lambertian)
+        value, lambertian = _evaluate(bsdf, side, viewer, omega, uv, found.share > 0)
+        total = total + (value - found.share * lambertian)
     return total / count
 
 

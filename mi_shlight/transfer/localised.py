@@ -55,7 +55,7 @@ class ConeFit:
     order : int
         1 to MAX_FIT_ORDER.
     eps : float
-        1e-7, which float32 just holds, to 1.
+        1e-10 to 1. Coefficients grow as it falls, up to some 100 at 1e-8, and with them the rounding of what is shaded.
     """
 
     DRJIT_STRUCT = dict.fromkeys(("spread", "_factors"), object)
@@ -94,10 +94,10 @@ class ConeFit:
 def cone_fit(order: int, samples: int):
     """The `fit` for :py:func:`sample_transfer` with so many rays per point; None for orders that are projected in any case.
 
-    ``eps`` is 1e-4 over their number, 1e-7 at least: few rays say little about the finer shapes that a smaller one would let through. A
+    ``eps`` is 1e-5 over their number, 1e-8 at least: few rays say little about the finer shapes that a smaller one would let through. A
     factor of 10 changes the error of a soft shadow by a tenth (validation/soft_shadows.py).
     """
-    return ConeFit(order, max(1e-4 / samples, 1e-7)) if 0 < order <= MAX_FIT_ORDER else None
+    return ConeFit(order, max(1e-5 / samples, 1e-8)) if 0 < order <= MAX_FIT_ORDER else None
 
 
 class Sampled(NamedTuple):

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 import reference
-from mi_shlight.sh import project_function, project_function_stratified, project_image, reconstruct, sphere_quadrature
+from mi_shlight.sh import functions, project_function, project_function_stratified, project_image, reconstruct, sphere_quadrature
 
 RNG = np.random.default_rng(2)
-MAP = RNG.random((5, 8, 3)).astype(np.float32)
+MAP = RNG.random((6, 8, 3)).astype(np.float32)
 
 # int max(z, 0) Y_l0 dw
 COSINE = {0: np.sqrt(np.pi) / 2, 2: np.sqrt(np.pi / 3), 6: np.sqrt(5 * np.pi) / 8, 20: -np.sqrt(np.pi) / 16}
 GRID = 96
 BRUTE = 5e-4
-"""Its error for a map with kinks between 5 x 8 pixels."""
+"""Its error for a map with kinks between 6 x 8 pixels."""
 
 
 def brute(f, order):
@@ -55,7 +55,17 @@ def test_round_trip():
 
 def test_cosine_lobe():
     coeffs = project_function(lambda d: np.maximum(d[:, 2], 0), 4, latitudes=200)
-    np.testing.assert_allclose(coeffs, [COSINE.get(i, 0) for i in range(25)], atol=2e-5)
+    np.testing.assert_allclose(coeffs, [COSINE.get(i, 0) for i in range(25)], atol=3e-5)
+
+
+def test_in_parts_as_at_once(monkeypatch):
+    f = lambda d: np.exp(d)
+    whole = project_function(f, 3), project_function_stratified(f, 3, 400)
+    monkeypatch.setattr(functions, "MAX_FLOATS", 1000)
+    np.testing.assert_allclose(project_function(f, 3), whole[0], atol=1e-13)
+    coeffs, error = project_function_stratified(f, 3, 400)
+    assert (abs(coeffs - whole[1][0]) < 8 * error).all()                               # other random numbers
+    np.testing.assert_allclose(error, whole[1][1], rtol=0.5)
 
 
 def test_traced_function():
@@ -84,16 +94,18 @@ def test_stratified():
     assert (abs(coeffs - exact) < 4.5 * error + 3e-5).all()
     assert np.array_equal(project_function_stratified(f, 4, 2500, seed=3)[0], coeffs)
     assert not np.array_equal(project_function_stratified(f, 4, 2500, seed=4)[0], coeffs)
-    deviations = [project_function_stratified(f, 4, 2500, seed)[0] - exact for seed in range(80)]
+    deviations = [project_function_stratified(f, 4, 2500, seed)[0] - exact for seed in range(40)]
     ratio = np.sqrt(np.mean(np.square(deviations), axis=0)) / error
-    assert 0.6 < ratio.min() and ratio.max() < 1.4                                     # of 80 runs: their deviation is known to 8 %
-    assert error.max() < 0.2 * np.sqrt(4 * np.pi / 2500)                               # unstratified samples have about that
+    assert 0.5 < ratio.min() and ratio.max() < 1.5                                     # of 40 runs: their deviation is known to 11 %
+    directions, weights = sphere_quadrature(40)
+    squares = np.square(f(directions)).T * weights @ np.square(reference.sh_basis(directions, 4))
+    assert np.mean(error / np.sqrt((4 * np.pi * squares - exact ** 2) / 2500)) < 0.25  # of as many samples without strata
 
 
 def test_image_is_what_envmap_evaluates():
     expected = brute(environment(MAP), 8)
     np.testing.assert_allclose(project_image(MAP, 8), expected, atol=BRUTE)
-    np.testing.assert_array_equal(project_image(MAP, 2), project_image(MAP, 8)[:, :9])
+    np.testing.assert_allclose(project_image(MAP, 2), project_image(MAP, 8)[:, :9], atol=1e-13)
     assert np.abs(project_image(MAP, 8, interpolation="box") - expected).max() > 100 * BRUTE
 
 
@@ -106,9 +118,9 @@ def test_image_in_a_turned_world():
 def test_image_of_boxes():
     def f(d):
         u, v = np.arctan2(d[:, 0], -d[:, 2]) / (2 * np.pi) % 1, np.arccos(d[:, 1]) / np.pi
-        return MAP[(v * 5).astype(int), (u * 8).astype(int)]
+        return MAP[(v * 6).astype(int), (u * 8).astype(int)]
 
-    np.testing.assert_allclose(project_image(MAP, 5, interpolation="box"), brute(f, 5), atol=1e-2)
+    np.testing.assert_allclose(project_image(MAP, 5, interpolation="box"), brute(f, 5), atol=BRUTE)
     gray = project_image(MAP[..., 1], 5, interpolation="box")
     np.testing.assert_allclose(gray, project_image(MAP, 5, interpolation="box")[1], atol=1e-14)
 
@@ -137,12 +149,14 @@ def test_reconstruct(precision):
     np.testing.assert_allclose(reconstruct(coeffs, d), expected, atol=1e-14)
     assert reconstruct(coeffs, d[1]) == pytest.approx(expected[1])
     assert reconstruct(coeffs.tolist(), d[2].tolist()) == pytest.approx(expected[2])
+    np.testing.assert_allclose(reconstruct(coeffs.tolist(), d), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("call, error, text", [
     (lambda: project_function(lambda d: d, -1), ValueError, "'order'"),
     (lambda: project_function(lambda d: d[0], 2), ValueError, "'f' must return"),
     (lambda: project_function(lambda d: d[:, 0], 2, latitudes=0), ValueError, "'latitudes'"),
+    (lambda: sphere_quadrature(0.5), ValueError, "'latitudes'"),
     (lambda: project_function_stratified(lambda d: d[:, 0], 2, samples=1), ValueError, "'samples'"),
     (lambda: project_function_stratified(lambda d: d[:, 0], 2, seed=-1), ValueError, "'seed'"),
     (lambda: project_image(np.ones(4), 2), ValueError, "'image'"),

@@ -109,6 +109,7 @@ def test_leading_axes_are_broadcast():
     assert product(a, b).shape == (4, 5, 36)
     np.testing.assert_allclose(product(a, b)[2, 3], product(a[2, 0], b[3]), atol=1e-14)
     assert triple_product(a, b, coefficients(1)).shape == (4, 5)
+    np.testing.assert_allclose(product(a, b[3].tolist()), product(a, b[3]), atol=1e-14)
 
 
 def test_derivative_is_the_product_with_the_other():

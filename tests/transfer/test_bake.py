@@ -34,6 +34,7 @@ def table(build):
     ({"max_edge": None}, TypeError, ["'max_edge'", "None"]),
     ({"light_margin": float("inf")}, ValueError, ["'light_margin'", "inf"]),
     ({"light_margin": "1"}, TypeError, ["'light_margin'", "'1'"]),
+    ({"localised": 1}, TypeError, ["'localised'", "True or False"]),
 ])
 def test_argument_errors(table, arguments, error, parts):
     with pytest.raises(error) as caught:
@@ -57,7 +58,7 @@ def test_scene_of_another_variant(table):
 
 
 def test_no_light(build):
-    with pytest.raises(ValueError, match="polygonal area light"):
+    with pytest.raises(ValueError, match="polygonal or distant light"):
         bake_transfer(build.scene(build.quad(build.level(2, 0), "floor")), 1)
 
 
@@ -70,12 +71,13 @@ def test_too_many_points(build):
 
 def test_what_a_bake_records(table):
     transfer = bake_transfer(table, 2, samples=32, max_edge=0.5, light_margin=0.125)
-    recorded = transfer.order, transfer.transfer, transfer.samples, transfer.max_edge, transfer.light_margin
-    assert recorded == (2, "shadowed", 32, 0.5, 0.125)
+    recorded = transfer.order, transfer.transfer, transfer.localised, transfer.distant, transfer.samples
+    assert recorded == (2, "shadowed", True, False, 32)
+    assert (transfer.max_edge, transfer.light_margin) == (0.5, 0.125)
     assert [block.name for block in transfer.meshes] == ["floor", "plate"]
     rows = sum(block.row_count for block in transfer.meshes)
     assert transfer.coeffs.shape == (1, rows, 9) and transfer.coeffs.dtype == np.float32
-    assert transfer.visibility.shape == (1, rows)
+    assert transfer.visibility.shape == transfer.variance.shape == (1, rows)
     assert (transfer.visibility >= 0).all() and (transfer.visibility <= 1).all()
     assert transfer.groups.tolist() == [0, 1]
     np.testing.assert_allclose(np.unique(transfer.outlines[0].reshape(-1, 3), axis=0),
@@ -95,6 +97,7 @@ def test_deterministic(table):
     assert (first.visibility > 0).any() and (first.visibility < 1).any()
     np.testing.assert_array_equal(first.coeffs, second.coeffs)
     np.testing.assert_array_equal(first.visibility, second.visibility)
+    np.testing.assert_array_equal(first.variance, second.variance)
 
 
 def test_progress(build, monkeypatch):
@@ -112,9 +115,9 @@ def test_progress(build, monkeypatch):
 
 def test_many_launches_give_what_one_gives(table, monkeypatch):
     """Up to sampling noise: the directions of a point may depend on the launch it falls into."""
-    whole = bake_transfer(table, 1, samples=1024, max_edge=0.3)
+    whole = bake_transfer(table, 1, samples=1024, localised=False, max_edge=0.3)
     monkeypatch.setattr("mi_shlight.transfer.bake.ROWS_PER_LAUNCH", 37)
-    parts = bake_transfer(table, 1, samples=1024, max_edge=0.3)
+    parts = bake_transfer(table, 1, samples=1024, localised=False, max_edge=0.3)
     assert np.ptp(whole.visibility) == 1
     np.testing.assert_allclose(parts.visibility, whole.visibility, atol=0.01)
     np.testing.assert_allclose(parts.coeffs, whole.coeffs, atol=0.005)
@@ -160,9 +163,9 @@ def test_black_surfaces_are_not_baked(build):
 
 
 def test_warnings_name_what_is_left_out(build):
-    point = mi.load_dict({"type": "point", "id": "bulb", "position": [0, 1, 0]})
+    bulb = mi.load_dict({"type": "sphere", "id": "bulb", "center": [5, 5, 5], "emitter": {"type": "area"}})
     with pytest.warns(UnsupportedSceneWarning, match="bulb"):
-        bake_transfer(build.scene(build.light(build.level(1, 2, up=False)), build.quad(build.level(2, 0), "floor"), point), 0,
+        bake_transfer(build.scene(build.light(build.level(1, 2, up=False)), build.quad(build.level(2, 0), "floor"), bulb), 0,
                       samples=16, max_edge=2.0, progress=lambda done, total: None)
 
 

@@ -50,7 +50,22 @@ def lookup(room):
     assert len(rows) == transfer.coeffs.shape[1]
     rows = np.concatenate([rows, np.ones((len(rows), 1))], axis=1).astype(np.float32)
     transfer.coeffs = np.stack([rows, 2 * rows])
+    transfer.visibility = transfer.coeffs[:, :, 2]
     return transfer.look_up(receivers(room))
+
+
+def test_visibility_is_interpolated_alike(room, lookup):
+    """With z in its place: that of the hit, for each group."""
+    aim = targets([-1, -0.5, -0.5], [0, 0.5, 0.5], 500, 3)
+    ray = mi.Ray3f(mi.Point3f(*(4 * aim).T.copy()), dr.normalize(mi.Vector3f(*(-3 * aim).T.copy())))
+    pi = room.ray_intersect_preliminary(ray)
+    si = pi.compute_surface_interaction(ray)
+    hit = lookup.rows_at(pi, si.shape, mi.Bool(False), si.is_valid())
+    for group in (0, 1):
+        value, coeffs = lookup.visibility(*hit, mi.UInt32(group)), lookup.coefficients(*hit, mi.UInt32(group), 1)
+        dr.eval(value, coeffs)
+        np.testing.assert_allclose(np.array(value), np.array(coeffs[2]), atol=1e-5)
+        assert np.ptp(np.array(value)) > 0.3
 
 
 def shoot(room, lookup, origins, directions, back_side, group=0):

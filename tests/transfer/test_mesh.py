@@ -146,7 +146,7 @@ def test_degenerate_faces():
 
 
 def _faces(mesh, chosen):
-    return type(mesh)(mesh.positions, mesh.normals, mesh.subdivision[chosen], mesh.first[chosen], mesh.rows)
+    return type(mesh)(mesh.positions, mesh.normals, mesh.cells, mesh.subdivision[chosen], mesh.first[chosen], mesh.rows)
 
 
 def test_empty_mesh():

@@ -31,6 +31,12 @@ def transfer(scene):
     return bake_transfer(scene, 2, samples=32, max_edge=0.3, light_margin=0.01)
 
 
+@pytest.mark.parametrize("name", ["visibility", "variance"])
+def test_visibility_of_another_shape(file, name):
+    rewrite(file, **{name: np.zeros((1, 3), np.float32)})
+    assert "shape" in refused(file)
+
+
 @pytest.fixture
 def file(transfer, tmp_path):
     transfer.save(tmp_path / "bake.npz")
@@ -40,9 +46,9 @@ def file(transfer, tmp_path):
 def test_round_trip(transfer, file):
     loaded = load_transfer(file)
     assert np.ptp(transfer.visibility) > 0.5
-    for name in ("order", "transfer", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions"):
+    for name in ("order", "transfer", "localised", "distant", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions"):
         assert getattr(loaded, name) == getattr(transfer, name), name
-    for name in ("coeffs", "visibility", "groups"):
+    for name in ("coeffs", "visibility", "variance", "groups"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(transfer, name))
     assert loaded.coeffs.dtype == np.float32
     np.testing.assert_array_equal(loaded.outlines, transfer.outlines)
@@ -183,14 +189,16 @@ def test_rewriting_alone_does_no_harm(file):
 
 
 @pytest.mark.parametrize("header, text", [
-    ({"format_version": 2}, "format version 2"), ({"format": "other"}, "header"), ([1, 2], ""), ("text", ""), ({"order": 3}, "shape"),
-    ({"meshes": [{"name": "x"}]}, ""), ({"lights": 7}, "outline_")])
+    ({"format_version": 1}, "format version 1"), ({"format": "other"}, "header"), ([1, 2], ""), ("text", ""), ({"order": 3}, "shape"),
+    ({"meshes": [{"name": "x"}]}, ""), ({"lights": 7}, "outline_"),
+    ({"distant": True}, "shape")])
 def test_wrong_header(file, header, text):
     rewrite(file, header)
     assert text in refused(file)
 
 
-@pytest.mark.parametrize("name", ["coeffs", "visibility", "groups", "header", "outline_0", "rows_1", "first_0", "subdivision_0"])
+@pytest.mark.parametrize("name", ["coeffs", "visibility", "variance", "groups", "header", "outline_0", "rows_1", "first_0",
+                                  "subdivision_0"])
 def test_missing_array(file, name):
     rewrite(file, **{name: None})
     refused(file)

@@ -15,17 +15,19 @@ from mi_shlight.errors import UnsupportedSceneWarning
 from mi_shlight.scene import mesh_arrays, polygon_lights
 from mi_shlight.transfer.cosine import cosine_transfer
 from mi_shlight.transfer.mesh import refine
-from mi_shlight.transfer.visibility import BakeLights, Occluders, neighbour_stride, shadowed_transfer
+from mi_shlight.transfer.localised import cone_fit, sample_transfer
+from mi_shlight.transfer.visibility import BakeLights, LightSight, Occluders
 
 
-def transfer_at(scene, points, normals, order, samples, margin=0.0):
+def transfer_at(scene, points, normals, order, samples, margin=0.0, localised=False):
     """Coefficients (P, N), visibility (P,) of the scene's only group of lights, at points of our own."""
     lights = polygon_lights(scene)
     bake_lights = BakeLights(lights, margin)
     p, n = (np.asarray(a, float).reshape(-1, 3).T.copy() for a in (points, normals))
     group = mi.UInt32(0), mi.UInt32(len(lights))
-    t, v, _ = shadowed_transfer(Occluders(scene, lights), bake_lights, group, mi.Point3f(*p), mi.Normal3f(*n), order, samples,
-                                mi.Point2f(0.5, 0.5))
+    sight = LightSight(Occluders(scene, lights), bake_lights, group)
+    fit = cone_fit(order, samples) if localised else None
+    t, v, *_ = sample_transfer(sight, mi.Point3f(*p), mi.Normal3f(*n), order, samples, mi.Float(0.5), fit=fit)
     dr.eval(t, v)
     return np.stack([np.array(c) for c in t], axis=1), np.array(v)
 
@@ -52,7 +54,7 @@ def test_closed_room(build, gap, margin):
     margin looks beyond its rim, where the ceiling must not count either."""
     room = build.box([-1, -1, -1], [1, 1, 1], "room", inside=True)
     scene = build.scene(room, build.light(build.level(0.6, 1 - gap, up=False)))
-    transfer = bake_transfer(scene, 3, samples=64, max_edge=0.5, light_margin=margin)
+    transfer = bake_transfer(scene, 3, samples=64, max_edge=0.5, light_margin=margin, localised=False)
     np.testing.assert_array_equal(transfer.visibility, 1)
     np.testing.assert_allclose(transfer.coeffs[0], seen_by(transfer, scene, 3), atol=2e-6)
 
@@ -61,7 +63,7 @@ def test_two_sided_sheet_in_a_room(build):
     """Front and back of a sheet each see their own side: what is below it is lit from below only."""
     scene = build.scene(build.quad(build.level(1, 0), "sheet", bsdf={"type": "twosided", "bsdf": {"type": "diffuse"}}),
                         build.light(build.level(0.5, 1, up=False), "above"), build.light(build.level(0.5, -1, up=True), "below"))
-    transfer = bake_transfer(scene, 2, samples=32, max_edge=0.5)
+    transfer = bake_transfer(scene, 2, samples=32, max_edge=0.5, localised=False)
     half = transfer.meshes[0].row_count
     assert transfer.meshes[0].two_sided and transfer.coeffs.shape[1] == 2 * half
     visible = np.array([[1, 0], [0, 1]]).repeat(half, axis=1)
@@ -73,7 +75,7 @@ def test_a_light_blocks_other_lights_but_not_itself(build):
     """A large light in front of a small one hides it, as in a path tracer; its own shape never hides a light."""
     scene = build.scene(build.quad(build.level(1, 0), "floor"), build.light(build.level(2, 0.5, up=False), "near"),
                         build.light(build.level(0.3, 1, up=False), "far"))
-    transfer = bake_transfer(scene, 2, samples=32, max_edge=0.5)
+    transfer = bake_transfer(scene, 2, samples=32, max_edge=0.5, localised=False)
     np.testing.assert_array_equal(transfer.visibility[0], 1)
     np.testing.assert_array_equal(transfer.visibility[1], 0)
 
@@ -170,7 +172,7 @@ def test_penumbra(build, height, order, bound):
     """Transfer times light, through the penumbra of a straight edge. The error is the band limit of the shadow's edge, so it falls with
     the order; as a part of the full light's radiance it is bounded by what was measured, times 1.5."""
     scene, points = half_covered(build, height)
-    coeffs, _ = transfer_at(scene, points, np.tile([0, 1, 0], (len(points), 1)), order, 2048)
+    coeffs, _ = transfer_at(scene, points, np.tile([0, 1, 0], (len(points), 1)), order, 8192)
     # corners counter-clockwise as seen from outside the sphere about the point, that is from above
     light = build.level(0.8, 1, up=True).astype(float)
     shaded = np.array([c @ reference.coefficients_quadrature(light, p, order, 16) for c, p in zip(coeffs, points)])
@@ -361,17 +363,6 @@ def test_lights_of_many_polygons():
             np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 21, 34, 1000, 1024, 65536])
-def test_order_of_the_directions(samples):
-    """Each direction once; from the second on most are close to the one before."""
-    order = np.arange(samples) * neighbour_stride(samples) % samples
-    assert len(set(order.tolist())) == samples
-    u, angle = (order + 0.5) / samples, 2 * np.pi * order * (math.sqrt(5) - 1) / 2
-    d = np.stack([np.sqrt(u) * np.cos(angle), np.sqrt(u) * np.sin(angle), np.sqrt(1 - u)], axis=1)
-    if samples > 100:
-        assert np.median(np.linalg.norm(np.diff(d, axis=0), axis=1)) < 4 / math.sqrt(samples)
-
-
 def five_lights(build, blocker):
     """Two lights above each other with room for a blocker between, and three to the side."""
     lights = [build.light(build.level(0.4, 1, up=False), "near"), build.light(build.level(0.4, 3, up=False), "far")]
@@ -410,7 +401,7 @@ def test_points_inside_a_body(build):
     """A box that stands on, and a bit in, the floor leaves no dark rim of interpolation around it."""
     scene = build.scene(build.quad(build.level(2, 0), "floor"), build.box([-0.4, -0.2, -0.4], [0.4, 0.01, 0.4], "box"),
                         build.light(build.level(0.5, 4, up=False)))
-    transfer = bake_transfer(scene, 2, samples=64, max_edge=0.36)
+    transfer = bake_transfer(scene, 2, samples=64, max_edge=0.36, localised=False)
     floor = transfer.meshes[0]
     positions = refine(*mesh_arrays(next(s for s in scene.shapes() if s.id() == "floor"))[:3], 0.36).positions
     reach = np.abs(positions[:, [0, 2]]).max(axis=1)
@@ -418,8 +409,8 @@ def test_points_inside_a_body(build):
     next_to_open = under & (reach > 0.2)
     assert under.sum() > 4 and next_to_open.any() and (under & ~next_to_open).any()
     visible, coeffs = transfer.visibility[0, :floor.row_count], transfer.coeffs[0, :floor.row_count]
-    assert (visible[under] == 0).all(), "what was measured stays on record"
-    np.testing.assert_array_equal(visible[open_], 1)
+    np.testing.assert_array_equal(visible[open_ | next_to_open], 1)
+    np.testing.assert_array_equal(visible[under & ~next_to_open], 0)
     np.testing.assert_allclose(coeffs[next_to_open], coeffs[open_][:1].repeat(next_to_open.sum(), axis=0), atol=1e-5)
     assert (coeffs[under & ~next_to_open] == 0).all()
 
@@ -428,7 +419,7 @@ def test_shadow_is_not_taken_for_the_inside_of_a_body(build):
     """Under a plate, all is dark too, but one can look there: nothing is brightened."""
     scene = build.scene(build.quad(build.level(2, 0), "floor"), build.box([-0.5, 0.1, -0.5], [0.5, 0.12, 0.5], "plate"),
                         build.light(build.level(0.2, 4, up=False)))
-    transfer = bake_transfer(scene, 2, samples=64, max_edge=0.36)
+    transfer = bake_transfer(scene, 2, samples=64, max_edge=0.36, localised=False)
     dark = transfer.visibility[0] == 0
     assert dark.sum() > 10
     assert (transfer.coeffs[0, dark] == 0).all()
