@@ -463,10 +463,11 @@ def _parser() -> _Parser:
     animate.set_defaults(run=_animate)
 
     bake = commands.add_parser("bake", allow_abbrev=False, help="precompute a scene's transfer",
-                               description="Bake the transfer of a scene's vertices for --transfer-file.")
+                               description="Bake the transfer of a scene's vertices for --transfer-file: shadowed or exact. What "
+                               "interreflected and glossy need besides is traced at the first render.")
     _add_scene(bake, "FILE", "transfer file to write")
     bake.add_argument("--samples", dest="transfer_samples", type=_number, metavar="N", help="rays per vertex; default: 1024")
-    _add_shprt(bake, ("order", "transfer", "max_edge", "light_margin"))
+    _add_shprt(bake, ("order", "transfer", "localised", "max_edge", "light_margin"))
     bake.set_defaults(run=_bake)
 
     compare = commands.add_parser("compare", allow_abbrev=False, help="render with shprt and with path tracing",

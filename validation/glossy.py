@@ -120,7 +120,8 @@ def error(image: np.ndarray, other: np.ndarray, seen: np.ndarray) -> float:
 
 
 def render(scene: mi.Scene, transfer: str, bsdf_order: int, **settings) -> np.ndarray:
-    plugin = mi.load_dict({"type": "shprt", "transfer": transfer, "order": 8, "bsdf_order": bsdf_order, "max_edge": 0.15, "transfer_samples": 256, **settings})
+    plugin = mi.load_dict({"type": "shprt", "transfer": transfer, "order": 8, "bsdf_order": bsdf_order, "max_edge": 0.15,
+                           "transfer_samples": 256, **settings})
     return np.array(mi.render(scene, integrator=plugin, spp=16, seed=1))
 
 

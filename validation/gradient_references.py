@@ -340,7 +340,7 @@ TABLE_CONFIDENCE = 1 - 0.05 / sum(len(valid(case, name)) for case in CASES.value
 
 
 class Setting(NamedTuple):
-    """How `shprt` is run."""
+    """How `shprt` is run: with projected transfer, whose band limit is what is predicted."""
 
     order: int
     transfer: str
@@ -350,8 +350,8 @@ class Setting(NamedTuple):
     def integrator(self):
         if self.transfer == "unshadowed":
             return mi.load_dict({"type": "shprt", "order": self.order, "transfer": "unshadowed"})
-        return mi.load_dict({"type": "shprt", "order": self.order, "transfer_domain": self.transfer, "light_margin": self.margin,
-                             "transfer_samples": RAYS[self.transfer], "max_edge": MAX_EDGE})
+        return mi.load_dict({"type": "shprt", "order": self.order, "localised": False, "transfer_domain": self.transfer,
+                             "light_margin": self.margin, "transfer_samples": RAYS[self.transfer], "max_edge": MAX_EDGE})
 
 
 ORDERS = (4, 8, 14)

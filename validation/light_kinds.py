@@ -146,9 +146,9 @@ def draw_proxy(result: dict, path) -> None:
     for axis, (name, picture) in zip(axes.ravel(), result["pictures"].items()):
         shown = axis.imshow(picture, vmin=0, vmax=result["pictures"]["truth"].max(), cmap="gray", interpolation="nearest")
         error = result["errors"].get(name)
-        title = f"{name}: error {error['mean_of_shadow']:.1%} of the shadow" if error else "ball under a clear sky, truth"
+        title = f"{name}: error {error['mean_of_shadow']:.1%}" if error else "ball under a clear sky"
         axis.set_title(title, fontsize="medium")
-    figure.colorbar(shown, ax=axes.ravel().tolist(), label="irradiance over pi, zenith luminance 1")
+    figure.colorbar(shown, ax=axes.ravel().tolist(), label="irradiance / pi")
     figure.savefig(path, pil_kwargs={"optimize": True})
 
 

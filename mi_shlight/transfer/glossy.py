@@ -100,8 +100,10 @@ class LobeQuadrature:
         self.angles, self.directions, self.weights = (aligned(mi.Float, values.ravel()) for values in (theta, directions, weights))
 
     def table(self, bsdf, side: int, found: Reflection, order: int, factors) -> mi.Float:
-        """G of (2) for one side of a BSDF as :py:func:`look_at` `found` it, in rows of :py:func:`row_length` numbers, for each angle one row for each channel; coefficients
-        in the order of their flat index. Degree l is multiplied by ``factors[l]``.
+        """G of (2) for one side of a BSDF as :py:func:`look_at` `found` it.
+
+        Rows of :py:func:`row_length` numbers, for each angle one row for each channel; coefficients in the order of their flat index.
+        Degree l is multiplied by ``factors[l]``.
 
         Carries the derivatives by the BSDF's parameters.
         """
@@ -184,7 +186,8 @@ def look_at(bsdf, side: int, diffuse: bool) -> Reflection:
     u = np.array([(0.5 + np.arange(count) * step) % 1 for step in (0.8566748838545, 0.7338918566271, 0.6287067210378, 0.5385972572236)])
     polar, turn = 0.05 + 0.95 * u[:2], 2 * math.pi * u[2:]
     # pairs at random, and pairs of mirror directions, so that no gloss is overlooked
-    polar, turn = np.stack([polar, polar[[0, 0]]], axis=1).reshape(2, -1), np.stack([turn, turn[[0, 0]] + [[0], [math.pi]]], axis=1).reshape(2, -1)
+    polar = np.concatenate([polar, polar[[0, 0]]], axis=1)
+    turn = np.concatenate([turn, turn[[0, 0]] + [[0], [math.pi]]], axis=1)
     uv = mi.Point2f(*(aligned(mi.Float, np.tile(part, 2)) for part in u[:2]))
 
     def sampled(extra, uv):
@@ -199,7 +202,7 @@ def look_at(bsdf, side: int, diffuse: bool) -> Reflection:
         in_one_place = sampled(0, mi.Point2f(0.37, 0.41))
     largest = np.abs(value).max(initial=0)
     if not np.isfinite(value).all() or not np.isfinite(lambertian).all():
-        return Reflection(float(diffuse), False, False, "it cannot be evaluated apart from a surface; only its diffuse reflectance is rendered.")
+        return Reflection(float(diffuse), False, False, "it cannot be evaluated apart from a surface; its gloss is left out.")
     if np.abs(turned - value).max() > TOLERANCE * largest:
         return Reflection(float(diffuse), False, False, "it is anisotropic, which is not modelled; its gloss is left out.")
     base, share = lambertian.sum(axis=0)[:count], 0.0

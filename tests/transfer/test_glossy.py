@@ -46,13 +46,13 @@ def phong():
 
 def at_angles(table, theta, order=ORDER):
     """(angles, channels, coefficients with m >= 0)."""
-    values = [interpolate(table, mi.UInt32(0), mi.UInt32(c), mi.Float(np.cos(theta).tolist()), mi.Float(np.sin(theta).tolist()), order, True)
-              for c in range(3)]
+    cosine, sine = (mi.Float(f(theta).tolist()) for f in (np.cos, np.sin))
+    values = [interpolate(table, mi.UInt32(0), mi.UInt32(c), cosine, sine, order, True) for c in range(3)]
     dr.eval(values)
     return np.array([[np.array(v) for v in channel] for channel in values]).transpose(2, 0, 1)
 
 
-def by_numpy(bsdf, theta, share=0.0, steps=192):
+def by_numpy(bsdf, theta, share=0.0, steps=96):
     """The same by a product quadrature over the hemisphere, which knows nothing of half vectors."""
     z, weight = np.polynomial.legendre.leggauss(steps)
     z, weight = (z + 1) / 2, weight / 2
