@@ -6,8 +6,8 @@ prints a table and writes ``furnace.json`` and ``furnace.png``. Exit status 1 if
 
 **white furnaces**: open scenes of reflectance 1 under an environment of radiance 1, in which every surface has radiance 1, whatever its
 shape: what a point does not see of the sky it gets from other surfaces. Deviations come from two sources: the noise of the visibility and
-the gather rays, which the rows of ``samples`` show, and light that is lost or gained at contacts. The flag ``direct`` is what the scene
-looks like without interreflection.
+the gather rays, which the rows of ``samples`` show, and light that is lost or gained at contacts. ``direct`` is the mean deviation without
+interreflection.
 
 **emitting rooms**: a closed room of reflectance rho whose walls all have the emission 1: radiance ``1 / (1 - rho)``, and ``sum_b rho^b``
 after some bounces.
@@ -201,7 +201,7 @@ def main(arguments=None) -> int:
     print("| scene | lighting | rays | mean | rms | max | direct alone |\n|---|---|---|---|---|---|---|")
     for row in rows:
         print(f"| {row['scene']} | {row['lighting']} | {row['rays']} | {row['mean']:+.2%} | {row['rms']:.2%} | {row['max']:.2%} | "
-              f"{row['direct'] if 'direct' in row else math.nan:+.2%} |")
+              + (f"{row['direct']:+.2%} |" if "direct" in row else "|"))
     for line in targets:
         if not line["met"]:
             print(f"MISSED: {line['what']}: mean {line['mean']:+.2%}, rms {line['rms']:.2%}; targets {TARGET_MEAN:.1%}, {TARGET_RMS:.0%}")

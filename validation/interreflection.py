@@ -4,7 +4,7 @@
 
 prints tables and writes ``interreflection.json``, ``interreflection.png`` (panel) and ``interreflection_curves.png``. ``--quick`` takes
 small pictures. ``--only`` measures some parts anew and keeps the others of an existing ``interreflection.json``. ``--references`` keeps the
-path-traced pictures in a folder. Times mean something on an idle machine only. Exit status 1 if a target is missed.
+path-traced pictures in a folder. Exit status 1 if a target is missed.
 
 The scene is Mitsuba's Cornell box (``scenes/cornell_box.xml``); references are Mitsuba's ``path`` without Russian roulette. All errors are
 means of absolute differences over the mean of the reference, over pixels that see a surface and no part of the light.
@@ -14,8 +14,8 @@ the tolerance). *bounced* is the error of what bounces add, against the differen
 
 **bounces**: what is missing after N bounces, against the converged picture of ``shprt`` itself.
 
-**samples**, **edges**: error of the bounced light over the rays per point and the size of the baked cells; seconds of the bake and of a
-picture, on one thread, and memory of the table.
+**samples**, **edges**: error of the bounced light over the rays per point and the size of the baked cells; CPU seconds on one thread of the
+bake, of the table of hits and of a picture, with and without bounces; memory of the table.
 
 **lighting**: gathering against interreflected transfer vectors ([G03]) in a corner of two walls and a floor, with the light at growing
 distance: difference of the bounced light of the two, which is the error of the assumption that a light looks the same from both ends of
@@ -24,6 +24,7 @@ a bounce. Under an environment the two are the same sums in another order and ag
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import pathlib
 import sys
@@ -39,6 +40,7 @@ import mi_shlight.plugins  # noqa: F401
 from mi_shlight.compare import image_errors, shaded_pixels
 from mi_shlight.errors import UnsupportedSceneWarning
 from mi_shlight.panel import srgb
+from mi_shlight.shading.bounce import Bounces
 from validation.engine import RESULTS, versions
 
 SCENE = pathlib.Path(__file__).parents[1] / "scenes" / "cornell_box.xml"
@@ -125,29 +127,31 @@ def measure_counts(cornell: Box) -> list:
     return rows
 
 
+def seconds(run) -> tuple:
+    """CPU time of the process, and what `run` returns."""
+    start = time.process_time()
+    result = run()
+    dr.sync_thread()
+    return time.process_time() - start, result
+
+
 def measure_cost(cornell: Box, name: str, values) -> list:
     """Error of the light of all bounces, and what it costs, over `bounce_samples` or `max_edge`."""
     rows, threads = [], dr.thread_count()
     dr.set_thread_count(1)
     for value in values:
-        timed = {}
-        for bounces in (0, None):
-            plugin = integrator(bounces, order=4, **{name: value})
-            picture(cornell.scene, plugin, 1)                             # compiles
-            plugin = integrator(bounces, order=4, **{name: value})
-            start = time.perf_counter()
-            transfer = plugin.prepare_scene(cornell.scene, False)
-            baked = time.perf_counter() - start
-            image = picture(cornell.scene, plugin, cornell.spp)
-            start = time.perf_counter()
-            picture(cornell.scene, plugin, cornell.spp)
-            timed[bounces] = image, baked, time.perf_counter() - start
-        (direct, bake, render), (image, both, render_all) = timed[0], timed[None]
-        points, samples = transfer.coeffs.shape[1], plugin.bounce_samples
-        errors = cornell.bounced_errors(image, direct, None)
-        rows.append({name: value, "bounced": errors["mean_relative"], "bounced_bias": errors["bias"], "points": points,
-                     "megabytes": points * samples * 4 / 1e6, "bake_seconds": bake, "gather_seconds": both - bake,
-                     "picture_seconds": render, "bounced_picture_seconds": render_all})
+        direct, whole = (integrator(bounces, order=4, **{name: value}) for bounces in (0, None))
+        row, images = {name: value}, {}
+        row["bake_seconds"], transfer = seconds(lambda: direct.prepare_scene(cornell.scene, False))
+        whole.prepare_scene(cornell.scene, False)
+        row["gather_seconds"], _ = seconds(lambda: Bounces(cornell.scene, transfer, whole._state, whole._settings, print))
+        for column, plugin in (("picture_seconds", direct), ("bounced_picture_seconds", whole)):
+            picture(cornell.scene, plugin, cornell.spp)                   # compiles
+            row[column], images[column] = seconds(functools.partial(picture, cornell.scene, plugin, cornell.spp))
+        errors = cornell.bounced_errors(images["bounced_picture_seconds"], images["picture_seconds"], None)
+        points = transfer.coeffs.shape[1]
+        rows.append({"bounced": errors["mean_relative"], "bounced_bias": errors["bias"], "points": points,
+                     "megabytes": points * whole.bounce_samples * 4 / 1e6, **row})
         print(f"{name} {value}", file=sys.stderr, flush=True)
     dr.set_thread_count(threads)
     return rows
@@ -230,7 +234,7 @@ def draw_panel(cornell: Box, images: dict, path: pathlib.Path) -> None:
     for axis in axes.ravel():
         axis.set(xticks=[], yticks=[])
     figure.colorbar(drawn, ax=axes[2], label="of the mean with all bounces", extend="both")
-    figure.savefig(path, dpi=80)
+    figure.savefig(path, dpi=62)
     plt.close(figure)
 
 
@@ -252,7 +256,7 @@ def draw_curves(report: dict, path: pathlib.Path) -> None:
     for name, label in (("gather_seconds", "gather table"), ("bounced_picture_seconds", "picture with bounces"),
                         ("picture_seconds", "picture without")):
         axes[1, 1].loglog([r["points"] for r in report["edges"]], [max(r[name], 1e-3) for r in report["edges"]], "o-", label=label)
-    axes[1, 1].set(xlabel="baked points", ylabel="seconds, one thread")
+    axes[1, 1].set(xlabel="baked points", ylabel="CPU seconds")
     axes[1, 1].legend()
     near = [row for row in report["lighting"] if row["light"].startswith("light")]
     for name, label in (("difference", "transfer against gather"), ("gather", "gather against path"),
@@ -260,6 +264,9 @@ def draw_curves(report: dict, path: pathlib.Path) -> None:
         axes[1, 2].loglog(HEIGHTS, [r[name] for r in near], "o-", label=label)
     axes[1, 2].set(xlabel="height of the light over a corner of size 2", ylabel="error of bounced light")
     axes[1, 2].legend()
+    for axis, ticks in ((axes[0, 2], SAMPLES), (axes[1, 0], EDGES), (axes[1, 2], HEIGHTS)):
+        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.minorticks_off()
     for axis in axes.ravel():
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=80)

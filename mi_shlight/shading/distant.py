@@ -8,9 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..environment.nodes import leggauss
 from ..scene import aligned, warn
-from ..sh.lobes import sh_matrix
+from ..sh.functions import map_weights
 from ..sh.rotation import euler_angles, multiples, quarter_turn
 
 SKY_ROWS = 180
@@ -152,7 +151,7 @@ class MapProjection:
         self._rows, self._columns, self._pixels = self.grid
         self._packs = SPECTRAL_NODES // channels if mi.is_spectral else 1
         self._parts = max(1, min(LANES // self._rows, self._columns // 8))
-        self._weights = aligned(mi.Float, latitude_weights(self._rows, self._columns, order).ravel())
+        self._weights = aligned(mi.Float, map_weights(self._rows, self._columns, order).ravel())
         self._quarters = [_sparse(rows) for rows in quarter_turn(order)]
         degrees = [(l, m) for l in range(order + 1) for m in range(-l, l + 1)]
         self._wave = aligned(mi.UInt32, [m if m >= 0 else order - m for _, m in degrees])
@@ -250,27 +249,6 @@ def directions_of(emitter) -> tuple:
         return SKY_ROWS, 2 * SKY_ROWS, False
     rows, columns, _ = mi.traverse(emitter)["data"].shape
     return rows, columns - 2, True                    # Mitsuba adds a copy of the outer columns on either side
-
-
-def latitude_weights(rows: int, columns: int, order: int) -> np.ndarray:
-    """Integrals of the bilinear share of one value in a row: ((order + 1)(order + 2) / 2, rows), number ``l (l + 1) / 2 + m``.
-
-    Row j stands at ``theta = pi j / (rows - 1)``, its values ``2 pi / columns`` apart. In phi the tent times ``cos(m phi)`` is elementary;
-    in theta Gauss-Legendre's rule is exact to rounding.
-    """
-    step = math.pi / (rows - 1)
-    nodes, weights = leggauss(6 + math.ceil(order * step))
-    share, weights = (1 + nodes) / 2, weights / 2 * step
-    out = np.zeros((rows, (order + 1) ** 2))
-    for first in range(0, rows - 1, 256):             # bounds the memory
-        theta = (np.arange(first, min(first + 256, rows - 1))[:, None] + share) * step
-        directions = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=-1)
-        values = sh_matrix(directions.reshape(-1, 3), order).reshape(*theta.shape, -1) * (weights * np.sin(theta))[..., None]
-        out[first:first + len(theta)] += np.einsum("k,rki->ri", 1 - share, values)
-        out[first + 1:first + 1 + len(theta)] += np.einsum("k,rki->ri", share, values)
-    spacing = 2 * math.pi / columns
-    tent = spacing * np.sinc(np.arange(order + 1) / columns) ** 2         # numpy's sinc: sin(pi x) / (pi x)
-    return np.stack([out[:, l * (l + 1) + m] * tent[m] for l in range(order + 1) for m in range(l + 1)])
 
 
 def has(emitter, *flags: str) -> bool:

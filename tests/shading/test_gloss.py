@@ -23,7 +23,7 @@ def numbers(rng, *shape):
     return [mi.Float(row.tolist()) for row in rng.normal(size=shape)]
 
 
-@pytest.mark.parametrize("orders", [(2, 4, 3), (3, 2, 4)], ids=["light finer", "light coarser"])
+@pytest.mark.parametrize("orders", [(2, 3, 2), (2, 1, 3)], ids=["light finer", "light coarser"])
 def test_product_with_visibility_equals_the_transfer_matrix(orders):
     """[G03] eq. 8: the matrix that multiplies by what is blocked, applied to the light, is the other way to the same coefficients."""
     (blocked_order, light_order, order), lanes, rng = orders, 5, np.random.default_rng(1)
@@ -153,14 +153,12 @@ ALONG_X = np.tile([1.0, 0.0, 0.0], 4)
 @pytest.mark.parametrize("key, change, step, forward", [
     ("lamp.vertex_positions", ALONG_X, 2e-3, False),
     ("lamp.vertex_positions", ALONG_X, 2e-3, True),
-    ("lamp.emitter.radiance.value", [1.0, -0.5, 0.2], 2e-2, False),
     ("floor.bsdf.alpha.value", [1.0], 5e-3, False),
     ("floor.vertex_positions", np.roll(ALONG_X, 1), 5e-4, False),
-], ids=["light moves", "light moves, forward", "radiance", "roughness", "floor rises"])
+], ids=["light moves", "light moves, forward", "roughness", "floor rises"])
 def test_derivatives(key, change, step, forward):
     what = scene(VIEW, floor=floor(bsdf=ROUGH), lamp=lamp())
-    change = mi.Float(np.asarray(change).tolist()) if len(change) != 3 else mi.Color3f(change)
-    slope, difference = derivative_pair(what, key, dict(FLAT, bsdf_order=2), forward, change, step)
+    slope, difference = derivative_pair(what, key, dict(FLAT, bsdf_order=2), forward, mi.Float(np.asarray(change).tolist()), step)
     assert abs(difference) > 1e-5 and abs(slope - difference) < 2e-3 * abs(difference)
 
 

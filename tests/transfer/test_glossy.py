@@ -52,7 +52,7 @@ def at_angles(table, theta, order=ORDER):
     return np.array([[np.array(v) for v in channel] for channel in values]).transpose(2, 0, 1)
 
 
-def by_numpy(bsdf, theta, share=0.0, steps=96):
+def by_numpy(bsdf, theta, share=0.0, steps=144):
     """The same by a product quadrature over the hemisphere, which knows nothing of half vectors."""
     z, weight = np.polynomial.legendre.leggauss(steps)
     z, weight = (z + 1) / 2, weight / 2
