@@ -342,8 +342,6 @@ def _glossy_support(bsdf) -> tuple:
         return two_sided, False, "light that it transmits is left out."
     if any_of(flags, Flags.Delta):
         return two_sided, False, "its mirror reflection is left out."
-    if any_of(flags, Flags.GlossyReflection) and any_of(flags, Flags.SpatiallyVarying):
-        return two_sided, False, "its gloss is rendered with the mean of its textures, perturbed normals are left out."
     return two_sided, False, None
 
 

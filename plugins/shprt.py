@@ -38,7 +38,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
    - |string|
    - File with a bake of this scene, written by ``mi-shlight bake`` or :py:meth:`mi_shlight.Transfer.save`, relative to the
      scene's folder. Empty: bake at the first render and keep the result as long as the geometry stays. The file holds its
-     own order, which must not be lower than ``order``, and its own samples, edge length and margin. (Default: empty)
+     own samples, edge length and margin. Its transfer must be the base of ``transfer``, its order ``order``; if it is not localised,
+     that or more. What ``interreflected`` and ``glossy`` need besides is traced at the first render. (Default: empty)
 
  * - max_edge
    - |float|
@@ -109,43 +110,68 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
    - Output the SH coefficients of the light at the visible points as AOVs ``L.l.m``, in steradians times the luminance of the
      radiance. (Default: false)
 
-Direct illumination of diffuse surfaces by polygonal area lights: each light is projected to spherical harmonics in
-closed form at every shading point and multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x)
-\sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and Ramamoorthi 2018, equation 4). The picture is free of noise apart from pixel sampling;
-its error is the band limit of the transfer and, for ``vertex``, its interpolation.
+Illumination by polygonal area lights: each light is projected to spherical harmonics in closed form at every shading point and
+multiplied with the point's transfer vector, :math:`L_r(x) = \rho(x) \sum_{lm} T_{lm}(x) \sum_k L_k\, L_{lm}^{(k)}(x)` (Wang and
+Ramamoorthi 2018, equation 4). The picture is free of noise apart from pixel sampling; its error is that of the transfer: its fit or band
+limit and, for ``vertex``, its interpolation.
 
-Lights are all emitters ``shlight`` and ``area`` on rectangles and meshes of any number of faces, and are seen directly with their radiance.
-Of a planar mesh of uniform radiance the outline is projected (holes and concave outlines included). Of any other, bent or closed, those
-faces count that turn their front to the point, and edges between two that do are left out; that a light's faces hide one another is not
-modelled, so meshes should be convex. A textured light is cut into triangles of uniform radiance, ``subdivisions`` of ``shlight``, whose
-edges are shared. Measured, the mean error of a floor under a light with waves on it, at half its width: 1.6 % cut in 2, 0.17 % in 32,
-0.03 % in 128, the default, 0.006 % in 512.
-Up to four lights each have their own visibility, in which the other lights are obstacles; more than four share one, in which no light is.
-In spectral variants the radiance of meshes and textures is interpolated between wavelengths 5 nm apart.
+**Transfer.** All that counts is how well the expansion of a transfer function follows it in the directions of the lights. With
+``localised`` it is fitted there by least squares, for each light group in a cone about its lights, and all rays go to the cone. Points that
+see all of their lights, or nothing of them, have no error but at the lights' horizon. Shadows gain most: order 4 is more accurate than
+order 8 was (validation/soft_shadows.py). The cone holds the lights grown by ``light_margin`` and by a cell of the bake; the wider it is,
+the less is gained, and lights that are all around, as seen from a point, are projected after all. A fit is of use at its own order only.
 
-With a grid the time for a picture hardly depends on the number of lights: it is made anew for each picture, from where the lights are,
-while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in the mean and
-by nearly all hits (validation/grid.py); where a light changes from near to far, at the border of a cell, values jump by about that much.
-Derivatives go through the grid; that lists of near lights change with the lights is no part of them.
+With ``exact`` a point that sees the part v of its lights gets v times Lambert's formula, and only the difference of its shadow from that by
+spherical harmonics. It takes a loop over all faces of all lights more, grid or no grid.
 
-Left out, each with a named warning: other emitters, specular parts of BSDFs (a BSDF with no diffuse part is black), perturbed
-normals, opacity. Interreflection is not computed: compare with ``path`` at ``max_depth`` 2.
+``interreflected``: all baked points are lit by all lights and exchange what they reflect by a table of ray hits, one row of
+``bounce_samples`` for each point; rows add up to one at most, so no energy comes from nothing. That is exact for near lights and for moving
+ones, at once for each picture. The points' reflectance is the mean of the BSDF around them. Surfaces without vertices, such as spheres,
+receive bounced light by rays at each hit but send none. Gloss sends no light to other surfaces. Compare with ``path`` at ``max_depth``
+``bounces`` + 2, or -1.
+
+``glossy``: what BSDFs reflect besides their diffuse reflectance is tabulated once for each BSDF, over the angle of view, to ``bsdf_order``;
+the light's coefficients meet visibility of ``visibility_order`` in products without truncation. Isotropic BSDFs only, in rgb and mono
+variants; textures of the gloss count by their means. Lobes narrower than the order can hold come out blurred (validation/glossy.py).
+
+**Lights.** Polygonal lights are all emitters ``shlight`` and ``area`` on rectangles and meshes of any number of faces; they are seen
+directly with their radiance. Of a planar mesh of uniform radiance the outline is projected (holes and concave outlines included). Of any
+other, bent or closed, those faces count that turn their front to the point, and edges between two that do are left out; that a light's
+faces hide one another is not modelled, so meshes should be convex. A textured light is cut into triangles of uniform radiance,
+``subdivisions`` of ``shlight``, whose edges are shared. Measured, the mean error of a floor under a light with waves on it, at half its
+width: 1.6 % cut in 2, 0.17 % in 32, 0.03 % in 128, the default, 0.006 % in 512. Up to four lights each have their own visibility, in which
+the other lights are obstacles; more than four share one, in which no light is. In spectral variants the radiance of meshes and textures is
+interpolated between wavelengths 5 nm apart.
+
+``constant``, ``envmap`` and other emitters at an infinite distance are projected to spherical harmonics, maps exactly as Mitsuba
+interpolates their pixels; their transfer, of rays that leave the scene, is projected over the sphere, for ``exact`` too. ``directional``,
+``point``, ``spot`` and ``projector`` lights are exact, with a ray for the shadow at each hit (and no shadow if ``unshadowed``).
+
+**Light grid.** With a grid the time for a picture hardly depends on the number of lights: it is made anew for each picture, from where the
+lights are, while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in
+the mean and by nearly all hits (validation/grid.py); where a light changes from near to far, at the border of a cell, values jump by about
+that much. Derivatives go through the grid; that lists of near lights change with the lights is no part of them.
+
+Left out, each with a named warning: other emitters, among them the sun's disc of ``sunsky``; specular parts of BSDFs unless ``glossy`` (a
+BSDF with no diffuse part is black), mirrors, perturbed normals, opacity. Without ``interreflected`` compare with ``path`` at ``max_depth``
+2.
 
 A light counts as planar if its vertices lie within 0.001 of its extent of a plane. An optimisation that bends it goes over from the outline
 to the faces, with the same picture where all of them are seen from the front, and for once compiles kernels anew.
 
 Differentiable through ``mi.render``, in forward and reverse mode and without noise beyond that of the pixel samples, with respect to
 
-- radiance and reflectance, spectra and textures (of a light by the means over its triangles);
+- radiance and reflectance, spectra and textures (of a light by the means over its triangles), pixels of maps, parameters of glossy BSDFs;
 - ``vertex_positions`` of lights and the ``to_world`` of rectangles; soft shadows follow the light, to the band limit of the transfer;
 - the points seen: vertices and ``to_world`` of receivers and of the sensor; if ``unshadowed`` also the shading normals. (In forward mode
   Mitsuba loses the ``to_world`` of spheres, with its own integrators, too.)
 
 In the tests they agree with differences between its own pictures to 3e-5. Those by lights and points are the ones of ``edge`` (up to order
 32) for every ``method``. The order limits them more than the picture: they look at visibility along the light's outline, where it jumps.
-Against exact derivatives, root mean square over the picture, order 8: 0.2 to 2 % without an occluder, 13 to 45 % behind one (10 to 27 %
-at order 14; validation/gradient_references.py). Optimisation gets along with that, as sign and place are right. No ``light_margin`` is
-needed for the derivative; choose it by how far a light moves between two bakes. Left out is:
+Against exact derivatives, root mean square over the picture, order 8, projected: 0.2 to 2 % without an occluder, 13 to 45 % behind one (10
+to 27 % at order 14; validation/gradient_references.py); localised transfer halves that (validation/soft_shadows.py). Optimisation gets
+along with that, as sign and place are right. No ``light_margin`` is needed for the derivative; choose it by how far a light moves between
+two bakes. Left out is:
 
 - The change of shadowed transfer, which is a constant of each pixel: occluders have no derivative, and a receiver or sensor that moves
   takes along the visibility and the cosine that each pixel has. A light beyond ``light_margin`` is baked anew before the next picture,

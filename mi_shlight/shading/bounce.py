@@ -17,8 +17,7 @@ PIXEL_SAMPLES = 64
 """Rays per camera hit on a shape without baked points."""
 
 SPECTRAL_NODES = 24
-SPECTRAL_STEP = (mi.MI_CIE_MAX - mi.MI_CIE_MIN) / (SPECTRAL_NODES - 1)
-"""Number and distance, about 20 nm, of the wavelengths at which bounced light is held in spectral variants."""
+"""Wavelengths, about 20 nm apart, at which bounced light is held in spectral variants."""
 
 
 class Bounces:
@@ -87,7 +86,8 @@ class Bounces:
         lane = dr.arange(mi.UInt32, self.count * packs)
         row = lane // packs
         node = mi.Float((lane - row * packs) * len(wavelengths))
-        return dr.ravel(spectrum_at(row, type(wavelengths)([mi.MI_CIE_MIN + SPECTRAL_STEP * (node + k) for k in range(len(wavelengths))])))
+        nodes = [mi.MI_CIE_MIN + _spectral_step() * (node + k) for k in range(len(wavelengths))]
+        return dr.ravel(spectrum_at(row, type(wavelengths)(nodes)))
 
     def _reflecting(self, rows, wavelengths):
         return self._points.reflectance(rows, wavelengths, self.state.gloss.share if self.state.glossy else None)
@@ -176,7 +176,7 @@ class BouncedLight:
         """For each entry of a spectrum the channels, with weights, that make it."""
         if not mi.is_spectral:
             return [[(mi.UInt32(c), mi.Float(1))] for c in range(self._bounces.channels)]
-        places = [dr.clip((w - mi.MI_CIE_MIN) / SPECTRAL_STEP, 0, SPECTRAL_NODES - 1) for w in wavelengths]
+        places = [dr.clip((w - mi.MI_CIE_MIN) / _spectral_step(), 0, SPECTRAL_NODES - 1) for w in wavelengths]
         first = [dr.minimum(mi.UInt32(place), SPECTRAL_NODES - 2) for place in places]
         return [[(i, 1 - (place - i)), (i + 1, place - i)] for i, place in zip(first, places)]
 
@@ -196,3 +196,7 @@ class BouncedLight:
                 start = ((row + g * bounces.count) * bounces.channels + node) * bounces.size
                 value = [dr.fma(dr.gather(mi.Float, bounces.transfer, start + i, active), w * v, t) for i, t in enumerate(value)]
         return value
+
+
+def _spectral_step() -> float:
+    return (mi.MI_CIE_MAX - mi.MI_CIE_MIN) / (SPECTRAL_NODES - 1)

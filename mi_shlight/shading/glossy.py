@@ -40,7 +40,7 @@ class Gloss:
     @property
     def present(self) -> bool:
         """False if all surfaces are plainly diffuse."""
-        return len(self._sides) > 0
+        return self._present
 
     def prepare(self) -> None:
         """Look at the BSDFs anew if their parameters have changed since."""
@@ -62,6 +62,7 @@ class Gloss:
                         sides.append((bsdf, side, found))
                     known[key] = len(sides) if found.rest else 0, found.share
                 first[entry + back], shares[entry + back] = known[key]
+        self._present = bool(sides) or any(share != 1 for _, share in known.values())
         self._sides, self._first, self._shares, self._seen = sides, mi.UInt32(first), mi.Float(shares), seen
         with dr.suspend_grad():
             self._tables = self._tabulate()
@@ -91,10 +92,13 @@ class Gloss:
         Parameters
         ----------
         tables
-            Of :py:meth:`attached`.
+            Of :py:meth:`attached`; None: there is no gloss.
         light : list
             For each channel the coefficients of the light that arrives, of any order.
         """
+        spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
+        if tables is None:
+            return spectrum(0)
         entry, known = self._entry(shape, back_side, points.active)
         table = dr.gather(mi.UInt32, self._first, entry, known)
         known &= table > 0
@@ -116,7 +120,7 @@ class Gloss:
         state = mi.UInt32(0), [mi.Float(0) for _ in light], mi.Vector3f(points.n), mi.Vector3f(viewer), light
         last = dr.select(known, mi.UInt32(len(light)), 0)
         value = dr.while_loop(state, lambda channel, *_: channel < last, body, mode="symbolic", max_iterations=-1)[1]
-        return type(mi.unpolarized_spectrum(mi.Spectrum(0)))(*value)
+        return spectrum(*value)
 
     def _entry(self, shape, back_side, active) -> tuple:
         """Where a side of `shape` stands in the tables, and where there is such an entry."""

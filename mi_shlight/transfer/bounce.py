@@ -234,9 +234,8 @@ def trace_bounces(scene, lookup, points: BakedPoints, samples: int, progress=Non
 
     Notes
     -----
-    Points within bodies or behind walls, whose rays end on backs of surfaces or escape, and never end on a front, are seen through
-    interpolation only. A neighbour in front stands in for them, as :py:func:`mi_shlight.transfer.mesh.spread_to_buried` does for the
-    transfer.
+    Points within bodies or behind walls, more of whose rays end on backs than on fronts, are seen through interpolation only. A neighbour
+    that is not stands in for them, as :py:func:`mi_shlight.transfer.mesh.spread_to_buried` does for the transfer.
     """
     if points.count * samples >= 2 ** 32:
         raise ValueError(message("trace_bounces", "samples", "leave less than 2^32 rays to store", samples,
@@ -322,24 +321,25 @@ def solve_bounces(gather: Gather, direct, reflectance, channels: int, bounces: i
 
 
 def _trace_rows(scene, lookup, points, samples: int, count, row, table, sealed) -> None:
-    """Fill in the hits of some rows, and clear `sealed` where a ray ends on the front of a surface, or none on a back."""
+    """Fill in the hits of some rows, and clear `sealed` where no more rays end on backs than on fronts."""
     sequence = dr.opaque(mi.UInt64, int(row[0]))
     generator = mi.PCG32(size=len(row), initstate=0xB0CE, initseq=sequence)
     shift = mi.Point3f(*(generator.next_float32() for _ in range(3)))
     n = dr.gather(mi.Normal3f, dr.ravel(points.normals), row)
     frame, origin = mi.Frame3f(n), lifted(dr.gather(mi.Point3f, dr.ravel(points.positions), row), n)
 
-    def body(k, no_front, no_back, row, origin, frame, shift):
+    def body(k, excess, row, origin, frame, shift):
         rows, weights, met, front, back = _hit_rows(scene, lookup, origin, _direction(frame, k, samples, shift), True)
         choice = _fraction(mi.Float(k) * ROOT_2 + shift.z)
         chosen = dr.select(choice < weights[0], rows[0], dr.select(choice < weights[0] + weights[1], rows[1], rows[2]))
         dr.scatter(table, chosen, k * count + row, met)
-        return k + 1, no_front & ~front, no_back & ~back, row, origin, frame, shift
+        excess += dr.select(back, mi.Int32(1), 0) - dr.select(front, mi.Int32(1), 0)
+        return k + 1, excess, row, origin, frame, shift
 
     last = dr.opaque(mi.UInt32, samples)
-    state = mi.UInt32(0), mi.Bool(True), mi.Bool(True), row, origin, frame, shift
-    _, no_front, no_back, *_ = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic")
-    dr.scatter(sealed, dr.select(no_front & ~no_back, mi.UInt32(1), 0), row)
+    state = mi.UInt32(0), mi.Int32(0), row, origin, frame, shift
+    excess = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic")[1]
+    dr.scatter(sealed, dr.select(excess > 0, mi.UInt32(1), 0), row)
     dr.eval(table, sealed)
 
 

@@ -89,7 +89,7 @@ def test_back_of_a_two_sided_surface_shines():
     below = camera((0, -1.6, 2.2), (0, 0, -0.2), 34)
     up = light(y=-1.3, scale=0.4, z=-1.1, up=True)
     what = scene(below, floor=floor(bsdf={"type": "twosided", "nested": ROUGH}), lamp=up)
-    assert mean_error(render(what, **FLAT), path(what)) < 0.04
+    assert mean_error(render(what, **dict(FLAT, bsdf_order=4)), path(what)) < 0.08
 
 
 def test_grid_of_lights_gives_the_same_picture():
@@ -101,13 +101,14 @@ def test_grid_of_lights_gives_the_same_picture():
 
 def test_picture_follows_the_material():
     what = scene(VIEW, floor=floor(bsdf=dict(ROUGH, alpha=0.3)), lamp=lamp())
-    plugin, parameters = integrator(**FLAT), mi.traverse(what)
+    settings = dict(FLAT, bsdf_order=3)
+    plugin, parameters = integrator(**settings), mi.traverse(what)
     before = np.array(mi.render(what, integrator=plugin, spp=4))
     parameters["floor.bsdf.alpha.value"] = 0.5
     parameters.update()
     after = np.array(mi.render(what, integrator=plugin, spp=4))
     assert mean_error(before, after) > 0.05
-    assert mean_error(after, render(scene(VIEW, floor=floor(bsdf=ROUGH), lamp=lamp()), **FLAT)) < 1e-6
+    assert mean_error(after, render(scene(VIEW, floor=floor(bsdf=ROUGH), lamp=lamp()), **settings)) < 1e-6
 
 
 @pytest.mark.parametrize("bsdf, words", [
@@ -120,6 +121,13 @@ def test_picture_follows_the_material():
 def test_what_is_left_out_is_named(bsdf, words):
     with pytest.warns(UserWarning, match=words):
         integrator(**FLAT).prepare_scene(scene(floor=floor(bsdf=bsdf), lamp=lamp()))
+
+
+def test_gloss_that_is_left_out_is_black():
+    """Mitsuba makes up a diffuse reflectance for BSDFs that have none."""
+    what = scene(VIEW, floor=floor(bsdf={"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.4}), lamp=lamp())
+    with pytest.warns(UserWarning, match="anisotropic"):
+        assert render(what, **dict(FLAT, bsdf_order=2)).max() == 0
 
 
 def derivative_pair(what, key, settings, forward, change, step):
