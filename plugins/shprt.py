@@ -64,7 +64,7 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
 
  * - bounces
    - |int|
-   - Number of reflections between surfaces before the one that is seen, with ``interreflected``. 0: until ``bounce_tolerance`` is met, 64
+   - Number of reflections between surfaces before the one that is seen, with ``interreflected``. 0: until ``bounce_tolerance`` is met, 256
      at most. (Default: 0)
 
  * - bounce_tolerance

@@ -1,12 +1,10 @@
 """Light that reaches surface points by way of other diffuse surfaces."""
 from __future__ import annotations
 
-import warnings
-
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import UnsupportedSceneWarning, message
+from ..errors import message
 from ..scene import shape_name
 from ..transfer.bounce import MAX_BOUNCES, BakedPoints, bounced_at, solve_bounces, trace_bounces
 from ..transfer.cosine import cosine_transfer
@@ -39,7 +37,7 @@ class Bounces:
     DRJIT_STRUCT = dict.fromkeys(("_points", "_gather", "_rows", "transfer", "_reflectance"), object)
 
     def __init__(self, scene, transfer, state, settings, complain, progress=None):
-        self.scene, self.state, self._settings = scene, state, settings
+        self.scene, self.state, self._settings, self._complain = scene, state, settings, complain
         self._points = BakedPoints(transfer, state.receivers)
         self._gather = trace_bounces(scene, state.lookup, self._points, settings.bounce_samples, progress)
         self.spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
@@ -104,9 +102,8 @@ class Bounces:
         bounced = solve_bounces(self._gather, direct, reflectance, channels, bounces, tolerance)
         self._bounces = bounced.count
         if not bounced.converged:
-            warnings.warn(f"shprt: light between surfaces has not died down after {MAX_BOUNCES} bounces; the rest, more than "
-                          "bounce_tolerance, is left out. Closed rooms of reflectance near 1 do that: lower the reflectance.",
-                          UnsupportedSceneWarning, stacklevel=4)
+            self._complain(f"light between surfaces has not died down after {MAX_BOUNCES} bounces; the rest, more than bounce_tolerance, "
+                           "is left out. Closed rooms of reflectance near 1 do that: lower the reflectance.")
         return bounced
 
     def _shown(self, field, channels: int):

@@ -30,7 +30,7 @@ class Gloss:
 
     def __init__(self, receivers: list, order: int, window: str, complain):
         self.order, self._complain, self._told = order, complain, set()
-        self._factors = [1.0] * (order + 1) if window == "none" else window_factors(window, order)
+        self._factors = window_factors(window, order)
         self._quadrature = LobeQuadrature()
         self._receivers = [r for r in receivers if not r.black]
         self._size = 1 + max((shape_index(r.shape) for r in self._receivers), default=0)

@@ -11,10 +11,10 @@ from ..errors import check_choice, check_integer, check_number, check_parameters
 from ..grid.cells import INTERPOLATIONS, MAX_RESOLUTION
 from ..light.project import METHODS
 from ..sh.basis import check_order
+from ..sh.windows import KINDS as WINDOWS
+from ..transfer.bounce import MAX_BOUNCES
 
 DEFAULT_SAMPLES = {"vertex": 1024, "pixel": 64}
-
-MAX_BOUNCES = 64
 
 DIRECT = ("unshadowed", "shadowed", "exact")
 """Transfer of light that comes straight from its source; ``interreflected`` and ``glossy`` add to it."""
@@ -107,7 +107,7 @@ def read_settings(props) -> Settings:
     value["transfer_samples"] = check_integer("shprt", "transfer_samples", value["transfer_samples"], 0, 65536, hint)
     for name in ("max_edge", "light_margin"):
         value[name] = check_number("shprt", name, value[name], 0, hint="It is a length in scene units.")
-    check_choice("shprt", "window", value["window"], ("none", "hann", "lanczos", "gauss"))
+    check_choice("shprt", "window", value["window"], WINDOWS)
     hint = "It is the number of reflections between surfaces before the one that is seen; 0: as many as bounce_tolerance asks for."
     value["bounces"] = check_integer("shprt", "bounces", value["bounces"], 0, MAX_BOUNCES, hint)
     hint = "Reflections are added until the next adds less than this share."

@@ -333,7 +333,7 @@ def _trace_rows(scene, lookup, points, samples: int, count, row, table, sealed) 
         choice = _fraction(mi.Float(k) * ROOT_2 + shift.z)
         chosen = dr.select(choice < weights[0], rows[0], dr.select(choice < weights[0] + weights[1], rows[1], rows[2]))
         dr.scatter(table, chosen, k * count + row, met)
-        excess += dr.select(back, mi.Int32(1), 0) - dr.select(front, mi.Int32(1), 0)
+        excess = excess + dr.select(back, mi.Int32(1), 0) - dr.select(front, mi.Int32(1), 0)
         return k + 1, excess, row, origin, frame, shift
 
     last = dr.opaque(mi.UInt32, samples)
