@@ -137,6 +137,7 @@ def measure(materials, orders, size: int, spp: int) -> tuple:
         scene = make_scene(MATERIALS[name], size, True)
         truth, row["sculpture"]["noise"], seen = reference(scene, spp)
         pictures[name] = {"path": truth}
+        row["white"] = float(np.percentile(truth[seen], 99.5))
         for order in orders:
             picture = pictures[name][f"order {order}"] = render(scene, "shadowed+glossy", order)
             row["sculpture"][str(order)] = error(picture, truth, seen)
@@ -158,7 +159,7 @@ def draw(pictures: dict, record: dict, path: pathlib.Path) -> None:
     columns = [*(key for key in pictures[shown[0]] if key != "path"), "path"]
     figure, axes = plt.subplots(len(shown), len(columns), figsize=(1.9 * len(columns), 2.05 * len(shown)), squeeze=False)
     for name, row in zip(shown, axes):
-        scale = 0.8 / np.percentile(pictures[name]["path"], 98)
+        scale = 1 / record["errors"][name]["white"]
         for column, axis in zip(columns, row):
             axis.imshow(srgb(np.minimum(pictures[name][column] * scale, 1)), interpolation="nearest")
             axis.set_xticks([])

@@ -234,7 +234,7 @@ def draw_panel(cornell: Box, images: dict, path: pathlib.Path) -> None:
     for axis in axes.ravel():
         axis.set(xticks=[], yticks=[])
     figure.colorbar(drawn, ax=axes[2], label="of the mean with all bounces", extend="both")
-    figure.savefig(path, dpi=62)
+    figure.savefig(path, dpi=58)
     plt.close(figure)
 
 

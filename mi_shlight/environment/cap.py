@@ -14,11 +14,12 @@ import math
 import drjit as dr
 
 from ..arrays import vectors3
-from ..errors import check_number
+from ..errors import check_number, message
 from ..light.arguments import float_list, not_literal
 from ..light.polygon import direction as unit
+from ..sh.arguments import coefficients_order
 from ..sh.basis import check_order, sh_basis
-from ..sh.rotation import coefficients_order, rotate_frame
+from ..sh.rotation import rotate_frame
 from .nodes import leggauss, sum_over_nodes
 
 
@@ -36,7 +37,7 @@ def project_cap(half_angle, order: int, direction=(0.0, 0.0, 1.0)) -> list:
     order : int
         Highest degree, 0 to 64.
     direction : 3-vector
-        Axis of the cap; need not be normalised.
+        Axis of the cap, of any length but 0.
 
     Returns
     -------
@@ -45,7 +46,8 @@ def project_cap(half_angle, order: int, direction=(0.0, 0.0, 1.0)) -> list:
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type, `half_angle` is not from 0 to pi, or `order` not from 0 to 64.
+        If an argument has the wrong type, `half_angle` is not from 0 to pi, `order` not from 0 to 64, or `direction` is 0 or infinite.
+        What is not a constant is not checked.
 
     Notes
     -----
@@ -67,7 +69,7 @@ def proxy_shadow(coeffs, direction, half_angle, order: int | None = None) -> lis
     coeffs : list of (n + 1)**2 floats
         The light. Python floats or Dr.Jit floats.
     direction : 3-vector
-        Towards the centre of what casts the shadow; need not be normalised.
+        Towards the centre of what casts the shadow, of any length but 0.
     half_angle : float
         Half the angle it takes up, in radians, 0 to pi: of a ball, asin(radius / distance). A number or a Dr.Jit float.
     order : int
@@ -80,7 +82,7 @@ def proxy_shadow(coeffs, direction, half_angle, order: int | None = None) -> lis
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type or range, or the length of `coeffs` is no square.
+        If an argument has the wrong type or range, or the length of `coeffs` is no square. What is not a constant is not checked.
 
     Notes
     -----
@@ -90,7 +92,8 @@ def proxy_shadow(coeffs, direction, half_angle, order: int | None = None) -> lis
     name = "proxy_shadow"
     d, half_angle = _cap_arguments(name, direction, half_angle)
     n = coefficients_order(name, "coeffs", coeffs)
-    coeffs = float_list(name, "coeffs", coeffs, type(d[0]), len(coeffs), len(coeffs), "Its entries are single numbers, or one per point.")
+    count = (n + 1) ** 2
+    coeffs = float_list(name, "coeffs", coeffs, type(d[0]), count, count, "Its entries are single numbers, or one per point.")
     out = n if order is None else check_order(name, order)
     number = type(d[0])
     s, t = tangents(d)
@@ -112,7 +115,18 @@ def _cap_arguments(name: str, axis, half_angle) -> tuple:
     if not (dr.is_float_v(half_angle) and dr.is_array_v(half_angle) and dr.depth_v(half_angle) == 1):
         half_angle = check_number(name, "half_angle", half_angle, 0, math.pi, hint="It is in radians, from the axis to the rim.")
     axis, angle = vectors3(name, direction=axis, half_angle=(half_angle, 0.0, 0.0))
-    return unit(not_literal(axis)), not_literal(angle)[0]
+    return unit_vector(name, "direction", axis), not_literal(angle)[0]
+
+
+def unit_vector(name: str, argument: str, vector):
+    """Unit vector along one from :py:func:`vectors3`; ValueError if that is constant and without a direction."""
+    if isinstance(vector, list):
+        raise TypeError(message(name, argument, "be a single 3-vector", vector, "Many are one Dr.Jit vector of three arrays."))
+    if not dr.is_jit_v(vector) or all(c.state == dr.VarState.Literal for c in vector):
+        values = [dr.slice(dr.detach(c), 0) for c in vector]
+        if not 0 < max(map(abs, values)) < math.inf or any(map(math.isnan, values)):
+            raise ValueError(message(name, argument, "be a 3-vector of finite length other than 0", values))
+    return unit(not_literal(vector))
 
 
 def zonal_about(axis, bands: list, order: int) -> list:

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 
-import drjit as dr
 import numpy as np
 
+from ..arrays import vectors3
 from ..errors import check_integer, message
+from ..sh.arguments import evaluate, numeric_array
 from ..sh.basis import check_order
 from ..sh.lobes import sh_matrix
+from .cap import unit_vector
 
 _SAMPLES = 256
 """Places across an angle map, at least, at which it is looked at: small maps at several in each pixel."""
@@ -135,15 +137,10 @@ def latlong(function, height: int, vector: type = None) -> np.ndarray:
         If `height` is out of range, or `function` does not return one value per direction.
     """
     height = _height("latlong", height)
-    directions = _directions(height)
-    if vector is None:
-        values = np.asarray(function(directions.T))
-    else:
-        number = dr.value_t(vector)
-        values = np.array(function(vector(*(number(component) for component in directions)))).T
-    if values.ndim not in (1, 2) or len(values) != directions.shape[1]:
-        raise ValueError(message("latlong", "function", f"return one value or colour for each of {directions.shape[1]} directions",
-                                 f"an array {values.shape}"))
+    directions = _directions(height).T
+    values = np.array(evaluate("latlong", "function", function, directions, vector))
+    if vector is not None:
+        values = np.broadcast_to(values.T, (len(directions), *values.shape[:-1]))
     return values.reshape(height, 2 * height, *values.shape[1:]).astype(np.float32)
 
 
@@ -156,13 +153,14 @@ def _directions(height: int, row_offset: float = 0.0, column_offset: float = 0.0
 
 
 def _square(name: str, image) -> np.ndarray:
+    """The pixels of an angle map as float64, 0 where they lie outside the inscribed circle."""
     rule = "be a square array (N, N) or (N, N, K) of finite numbers"
-    try:
-        pixels = np.asarray(image, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(message(name, "image", rule, image, "Pass numpy.array() of a mi.Bitmap.")) from None
+    pixels = numeric_array(name, "image", rule, image, "Pass numpy.array() of a mi.Bitmap.").astype(np.float64)
     if pixels.ndim not in (2, 3) or pixels.shape[0] != pixels.shape[1] or pixels.size == 0:
         raise ValueError(message(name, "image", rule, f"an array {pixels.shape}", "The probe is the circle inscribed in it."))
+    edges = np.linspace(-1, 1, len(pixels) + 1)
+    nearest = np.maximum(np.maximum(edges[:-1], -edges[1:]), 0)           # to the middle, in a row or column
+    pixels[np.hypot(nearest[:, None], nearest) > 1 + 1e-9] = 0
     if not np.isfinite(pixels).all():
         raise ValueError(message(name, "image", rule, "one with inf or nan"))
     return pixels
@@ -170,13 +168,8 @@ def _square(name: str, image) -> np.ndarray:
 
 def _frame(name: str, forward, up) -> np.ndarray:
     """Unit vectors to the right, up and forward by rows."""
-    axes = []
-    for argument, value in (("forward", forward), ("up", up)):
-        axis = np.asarray(value, dtype=np.float64).ravel()
-        if axis.shape != (3,) or not 0 < np.linalg.norm(axis) < math.inf:
-            raise ValueError(message(name, argument, "be a 3-vector of some length", value))
-        axes.append(axis / np.linalg.norm(axis))
-    forward, top = axes
+    given = {"forward": np.ravel(forward), "up": np.ravel(up)}
+    forward, top = (np.array(unit_vector(name, argument, vector)) for argument, vector in zip(given, vectors3(name, **given)))
     if abs(forward @ top) > 1e-5:
         raise ValueError(message(name, "up", "stand at right angles to 'forward'", up))
     return np.stack([np.cross(forward, top), top, forward])

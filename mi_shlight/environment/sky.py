@@ -23,12 +23,11 @@ import numpy as np
 
 from ..arrays import vectors3
 from ..errors import check_choice, check_number, message
-from ..light.arguments import not_literal
 from ..light.polygon import direction as unit
 from ..light.zonal import phong_bands
 from ..sh.basis import check_order, sh_basis
 from ..sh.rotation import rotate_frame
-from .cap import cap_bands, tangents, zonal_about
+from .cap import cap_bands, tangents, unit_vector, zonal_about
 from .nodes import leggauss, sum_over_nodes
 
 SKIES = ("overcast", "clear", "partly_cloudy")
@@ -46,7 +45,7 @@ def cie_sky(direction, kind: str, sun=None, zenith=(0.0, 1.0, 0.0), zenith_lumin
     Parameters
     ----------
     direction : 3-vector
-        Where to look; need not be normalised.
+        Where to look; this and the others may have any length but 0.
     kind : str
         ``"overcast"``, ``"clear"`` or ``"partly_cloudy"``.
     sun : 3-vector, optional
@@ -64,7 +63,7 @@ def cie_sky(direction, kind: str, sun=None, zenith=(0.0, 1.0, 0.0), zenith_lumin
     Raises
     ------
     TypeError, ValueError
-        If an argument has the wrong type or value, or `sun` is missing or too much.
+        If an argument has the wrong type or value, a vector that is constant is 0 or infinite, or `sun` is missing or too much.
 
     Notes
     -----
@@ -74,7 +73,6 @@ def cie_sky(direction, kind: str, sun=None, zenith=(0.0, 1.0, 0.0), zenith_lumin
     name = "cie_sky"
     zenith_luminance = _luminance(name, zenith_luminance)
     direction, zenith, sun = _sky_arguments(name, kind, sun, direction=direction, zenith=zenith)
-    direction = unit(direction)
     toward = None if sun is None else (_angle(direction, sun), _angle(zenith, sun))
     return zenith_luminance * _relative(kind, dr.dot(direction, zenith), toward)
 
@@ -144,23 +142,17 @@ _NODES = 24
 
 
 def _sky_arguments(name: str, kind: str, sun, **vectors) -> list:
-    """The vectors of one common type, zenith and sun of unit length, with the sun as last; None if there is none."""
+    """The vectors of one common type and unit length, with the sun as last; None if there is none."""
     check_choice(name, "kind", kind, SKIES)
     if kind == "overcast":
         if sun is not None:
             raise ValueError(message(name, "sun", "be left out with kind='overcast'", sun, "An overcast sky is the same all around."))
-        *others, zenith = vectors3(name, **vectors)
-        return [*others, _axis(name, "zenith", zenith), None]
-    if sun is None:
+    elif sun is None:
         raise ValueError(message(name, "sun", f"be a 3-vector with kind='{kind}'", sun, "It points towards the sun: (1, 1, 0)."))
-    *others, zenith, sun = vectors3(name, **vectors, sun=sun)
-    return [*others, _axis(name, "zenith", zenith), _axis(name, "sun", sun)]
-
-
-def _axis(name: str, argument: str, vector):
-    if not dr.is_jit_v(vector) and not dr.norm(vector) > 0:
-        raise ValueError(message(name, argument, "be a vector of some length", list(vector), "Its length does not matter otherwise."))
-    return unit(not_literal(vector))
+    else:
+        vectors["sun"] = sun
+    units = [unit_vector(name, argument, vector) for argument, vector in zip(vectors, vectors3(name, **vectors))]
+    return units if "sun" in vectors else [*units, None]
 
 
 def _luminance(name: str, value):

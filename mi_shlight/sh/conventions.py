@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import check_choice, message
-from .basis import check_order
+from .arguments import coefficients_order, numeric_array
+from .lobes import MAX_ORDER
 
 NORMS = ("orthonormal", "4pi", "schmidt")
 LAYOUTS = ("flat", "descending", "square", "halves")
@@ -93,11 +94,10 @@ def to_convention(coeffs, convention) -> np.ndarray:
     Exact to rounding. The inverse of :py:func:`from_convention`.
     """
     convention = _convention("to_convention", convention)
-    values = np.asarray(coeffs)
-    order = math.isqrt(max(values.size, 1)) - 1
-    if values.shape != ((order + 1) ** 2,):
-        raise ValueError(message("to_convention", "coeffs", "have (order + 1)**2 entries", f"an array {values.shape}"))
-    check_order("to_convention", order)
+    values = numeric_array("to_convention", "coeffs", "hold numbers", coeffs, allow_complex=True)
+    order = coefficients_order("to_convention", "coeffs", values)
+    if values.ndim != 1:
+        raise ValueError(message("to_convention", "coeffs", "be an array ((n + 1)**2,)", f"an array {values.shape}"))
     l, m = _degrees(order)
     values = values / _factors(convention, l, m)
     if convention.complex:
@@ -136,13 +136,12 @@ def from_convention(coeffs, convention) -> np.ndarray:
     Exact to rounding. Whether a function given by complex harmonics is real is decided at 1e-9 of its largest coefficient.
     """
     convention = _convention("from_convention", convention)
-    values = np.asarray(coeffs)
+    values = numeric_array("from_convention", "coeffs", "hold numbers", coeffs, allow_complex=True)
     order = values.shape[1] - 1 if convention.layout == "halves" and values.ndim == 3 else (
         len(values) - 1 if convention.layout == "square" and values.ndim == 2 else math.isqrt(max(values.size, 1)) - 1)
-    if values.shape != _shape(convention, order):
+    if values.shape != _shape(convention, order) or not 0 <= order <= MAX_ORDER:
         shape = {"square": "(n + 1, 2n + 1)", "halves": "(2, n + 1, n + 1)"}.get(convention.layout, "((n + 1)**2,)")
-        raise ValueError(message("from_convention", "coeffs", f"be an array {shape}", f"an array {values.shape}"))
-    check_order("from_convention", order)
+        raise ValueError(message("from_convention", "coeffs", f"be an array {shape}, n from 0 to {MAX_ORDER}", f"an array {values.shape}"))
     l, m = _degrees(order)
     values = values[_positions(convention, l, m)]
     if convention.complex:

@@ -6,10 +6,12 @@ import math
 import drjit as dr
 import numpy as np
 
+from ..arrays import vectors3
 from ..errors import check_choice, check_integer, message
+from .arguments import as_arrays, check_coefficients, evaluate, numeric_array
 from .basis import check_order, sh_basis
 from .lobes import sh_matrix
-from .rotation import coefficients_order, rotate, static_rotation
+from .rotation import rotate, static_rotation
 
 ENVMAP_FRAME = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 """x, y, z of the world by rows: columns are the directions of azimuth 0 and 90 degrees against the map's u, and of its upper pole."""
@@ -86,10 +88,10 @@ def project_function(f, order: int, latitudes: int = None, vector: type = None):
         coeffs, step = 0, max(1, MAX_FLOATS // (order + 1) ** 2)
         for begin in range(0, len(weights), step):
             part = slice(begin, begin + step)
-            coeffs = coeffs + (_values("project_function", f, directions[part]).T * weights[part]) @ sh_matrix(directions[part], order)
+            values = evaluate("project_function", "f", f, directions[part])
+            coeffs = coeffs + (values.T * weights[part]) @ sh_matrix(directions[part], order)
         return coeffs
-    number = dr.value_t(vector)
-    values = f(vector(*(number(component) for component in directions.T)))
+    values, number = evaluate("project_function", "f", f, directions, vector), dr.value_t(vector)
     basis = sh_matrix(directions, order) * weights[:, None]
     if dr.depth_v(values) == 1:
         return [dr.sum(values * number(row)) for row in basis.T]
@@ -131,7 +133,7 @@ def project_function_stratified(f, order: int, samples: int = 10_000, seed: int 
         u, v = ((cell + rng.random(cell.shape)) / side for cell in cells)
         z, rho, phi = 1 - 2 * u, 2 * np.sqrt(u * (1 - u)), 2 * math.pi * v    # theta = 2 acos(sqrt(1 - u)), [G03] eq. 4
         directions = np.stack([rho * np.cos(phi), rho * np.sin(phi), z], axis=-1).reshape(-1, 3)
-        values, basis = _values("project_function_stratified", f, directions), sh_matrix(directions, order)
+        values, basis = evaluate("project_function_stratified", "f", f, directions), sh_matrix(directions, order)
         products = (values.T[..., None] * basis).reshape(*values.T.shape[:-1], *u.shape, -1)     # [K,] rows, side, C
         total = total + products.sum(axis=(-3, -2))
         bend = np.roll(products, 1, axis=-2) - 2 * products + np.roll(products, -1, axis=-2)
@@ -174,11 +176,8 @@ def project_image(image, order: int, to_world=None, interpolation: str = "biline
     order = check_order("project_image", order)
     bilinear = check_choice("project_image", "interpolation", interpolation, ("bilinear", "box")) == "bilinear"
     rule = "be an array (H, W) or (H, W, K) of finite numbers with H >= 2"
-    try:
-        pixels = np.asarray(image)
-        finite = np.isfinite(pixels).all()
-    except (TypeError, ValueError):
-        raise TypeError(message("project_image", "image", rule, image, "Pass a mi.Bitmap, or an array.")) from None
+    pixels = numeric_array("project_image", "image", rule, image, "Pass a mi.Bitmap, or an array.")
+    finite = np.isfinite(pixels).all()
     if pixels.ndim not in (2, 3) or len(pixels) < 2 or pixels.size == 0 or not finite:
         raise ValueError(message("project_image", "image", rule, f"an array {pixels.shape}" + ("" if finite else " with inf or nan")))
     height, width = pixels.shape[:2]
@@ -225,9 +224,9 @@ def reconstruct(coeffs, directions):
     Parameters
     ----------
     coeffs : sequence of (n + 1)**2 floats, or ndarray ((n + 1)**2,) or (K, (n + 1)**2)
-        Coefficients, e.g. of :py:func:`project_function`.
+        Coefficients, e.g. of :py:func:`project_function`; arrays real or complex.
     directions : 3-vector, or ndarray (N, 3)
-        Unit vectors.
+        Unit vectors. Dr.Jit's go with a sequence of coefficients only.
 
     Returns
     -------
@@ -236,28 +235,23 @@ def reconstruct(coeffs, directions):
     Raises
     ------
     TypeError, ValueError
-        If `coeffs` does not have (n + 1)**2 entries, or `directions` are no 3-vectors.
+        If `coeffs` does not have (n + 1)**2 numbers, or `directions` are no 3-vectors.
 
     Notes
     -----
     Differentiable by both. Accuracy as :py:func:`mi_shlight.sh_basis`.
     """
-    order = coefficients_order("reconstruct", "coeffs", coeffs)
+    name, rule = "reconstruct", "be unit vectors (N, 3)"
+    coeffs, order = check_coefficients(name, "coeffs", coeffs)
     if isinstance(coeffs, np.ndarray) or isinstance(directions, np.ndarray):
-        coeffs, directions = np.asarray(coeffs, dtype=np.float64), np.asarray(directions, dtype=np.float64)
+        (coeffs,) = as_arrays(name, coeffs=coeffs)
+        if coeffs.ndim > 2:
+            raise ValueError(message(name, "coeffs", "be an array ((n + 1)**2,) or (K, (n + 1)**2)", f"an array {coeffs.shape}"))
+        directions = numeric_array(name, "directions", rule, directions)
         if directions.shape[-1:] != (3,) or directions.ndim > 2:
-            raise ValueError(message("reconstruct", "directions", "be unit vectors (N, 3)", f"an array {directions.shape}"))
+            raise ValueError(message(name, "directions", rule, f"an array {directions.shape}", "Dr.Jit's go with a list of coefficients."))
         return (sh_matrix(directions.reshape(-1, 3), order) @ coeffs.T).reshape(directions.shape[:-1] + coeffs.shape[:-1])
     total = 0
-    for basis, coefficient in zip(sh_basis(directions, order), coeffs):
+    for basis, coefficient in zip(sh_basis(*vectors3(name, directions=directions), order), coeffs):
         total = coefficient * basis + total
     return total
-
-
-def _values(function: str, f, directions: np.ndarray) -> np.ndarray:
-    """What `f` returns for the directions (N, 3), or ValueError unless (N,) or (N, K)."""
-    values = np.asarray(f(directions), dtype=np.float64)
-    if values.ndim not in (1, 2) or len(values) != len(directions):
-        raise ValueError(message(function, "f", f"return ({len(directions)},) or ({len(directions)}, K) values for the directions "
-                                                f"({len(directions)}, 3)", f"an array {values.shape}"))
-    return values

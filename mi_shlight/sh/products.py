@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .arguments import as_arrays, check_coefficients
 from .basis import check_order
 from .functions import sphere_quadrature
 from .lobes import sh_matrix
-from .rotation import add_product, coefficients_order
+from .rotation import add_product
 
 
 class Gaunt(NamedTuple):
@@ -35,7 +36,6 @@ class Gaunt(NamedTuple):
     """(count,), float64."""
 
 
-@functools.lru_cache(maxsize=None)
 def gaunt(order_a: int, order_b: int, order_c: int) -> Gaunt:
     """Real Gaunt coefficients ``G_ijk = int Y_i Y_j Y_k dw`` that are not zero, i, j, k to the orders given.
 
@@ -58,7 +58,12 @@ def gaunt(order_a: int, order_b: int, order_c: int) -> Gaunt:
     -----
     Integrals over z by Gauss-Legendre quadrature, exact for these polynomials, over the azimuth by equal steps; error 1e-14.
     """
-    orders = [check_order("gaunt", order) for order in (order_a, order_b, order_c)]
+    orders = {"order_a": order_a, "order_b": order_b, "order_c": order_c}
+    return _gaunt(*(check_order("gaunt", order, name) for name, order in orders.items()))
+
+
+@functools.lru_cache(maxsize=None)
+def _gaunt(*orders: int) -> Gaunt:
     z, weights = np.polynomial.legendre.leggauss(sum(orders) // 2 + 1)
     legendre = sh_matrix(np.stack([np.sqrt(1 - z * z), np.zeros_like(z), z], axis=1), max(orders))       # columns m >= 0
     indices, values = [], []
@@ -95,8 +100,8 @@ def product(a, b, order: int = None):
     Parameters
     ----------
     a, b : sequence of (n + 1)**2 floats, or ndarray (..., (n + 1)**2)
-        Coefficients; the orders may differ. Dr.Jit or Python floats, or numpy arrays, whose leading axes are broadcast. In
-        a sequence, None is a coefficient known to be zero.
+        Coefficients; the orders may differ. Dr.Jit or Python floats, or numpy arrays, real or complex, whose leading axes are
+        broadcast. In a sequence, None is a coefficient known to be zero. Beside an array, a sequence holds Python floats.
     order : int
         Highest degree wanted, 0 to 64. Default: the sum of the two orders, which is the product itself; less cuts it off.
 
@@ -107,21 +112,20 @@ def product(a, b, order: int = None):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not have (n + 1)**2 entries, or `order` is not an integer from 0 to 64.
+        If an argument does not have (n + 1)**2 numbers, or `order` is not an integer from 0 to 64.
 
     Notes
     -----
     Exact but for rounding, 1e-6 (float32) and 2e-15 (float64) of the product's length at order 8. Differentiable. Multiplications
     to the orders 4 x 4 -> 4: 1000, 4 x 8 -> 4: 2000, 8 x 8 -> 8: 7000, 14 x 14 -> 14: 33,000, as straight code.
     """
-    orders = [coefficients_order("product", "a", a), coefficients_order("product", "b", b)]
-    order = check_order("product", sum(orders) if order is None else order)
+    (a, order_a), (b, order_b) = (check_coefficients("product", name, f, sparse=True) for name, f in (("a", a), ("b", b)))
+    orders, order = (order_a, order_b), check_order("product", order_a + order_b if order is None else order)
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+        a, b = as_arrays("product", a=a, b=b)
         directions, weights = sphere_quadrature((sum(orders) + order) // 2 + 1)
         values = [f @ sh_matrix(directions, n).T for f, n in zip((a, b), orders)]
         return (values[0] * values[1] * weights) @ sh_matrix(directions, order)
-    a, b = list(a), list(b)
     out = [None] * (order + 1) ** 2
     for legendre, weight, symmetric in _latitudes(sum(orders) + order, max(*orders, order)):
         series = (_series(f, n, legendre, symmetric) for f, n in zip((a, b), orders))
@@ -153,18 +157,20 @@ def triple_product(a, b, c):
     Raises
     ------
     TypeError, ValueError
-        If an argument does not have (n + 1)**2 entries.
+        If an argument does not have (n + 1)**2 numbers, or leading axes cannot be broadcast.
 
     Notes
     -----
     The dot product of :py:func:`product` of a and b with c; cost and accuracy are the same whichever is c. Where two of the three stay,
     their product serves for all of the third.
     """
-    ab = product(a, b, coefficients_order("triple_product", "c", c))
-    if isinstance(ab, np.ndarray):
-        return (ab * np.asarray(c, dtype=np.float64)).sum(axis=-1)
+    given = {name: check_coefficients("triple_product", name, f, sparse=True) for name, f in (("a", a), ("b", b), ("c", c))}
+    order, factors = given["c"][1], {name: coeffs for name, (coeffs, _) in given.items()}
+    if any(isinstance(f, np.ndarray) for f in factors.values()):
+        a, b, c = as_arrays("triple_product", **factors)
+        return (product(a, b, order) * c).sum(axis=-1)
     total = None
-    for p, q in zip(ab, c):
+    for p, q in zip(product(factors["a"], factors["b"], order), factors["c"]):
         total = add_product(total, q, p)
     return 0.0 if total is None else total
 
@@ -186,21 +192,21 @@ def product_matrix(a, order_in: int, order_out: int = None):
     Raises
     ------
     TypeError, ValueError
-        If `a` does not have (n + 1)**2 entries, or an order is not an integer from 0 to 64.
+        If `a` does not have (n + 1)**2 numbers, or an order is not an integer from 0 to 64.
 
     Notes
     -----
     From :py:func:`gaunt`: 2200 multiplications for the orders 8, 4 -> 4, 24,000 for 8, 8 -> 8. Accuracy as of :py:func:`product`.
     """
-    order_a = coefficients_order("product_matrix", "a", a)
-    order_in = check_order("product_matrix", order_in)
-    order_out = order_in if order_out is None else check_order("product_matrix", order_out)
+    a, order_a = check_coefficients("product_matrix", "a", a, sparse=True)
+    order_in = check_order("product_matrix", order_in, "order_in")
+    order_out = order_in if order_out is None else check_order("product_matrix", order_out, "order_out")
     shape = (order_out + 1) ** 2, (order_in + 1) ** 2
     if isinstance(a, np.ndarray):
         directions, weights = sphere_quadrature((order_a + order_in + order_out) // 2 + 1)
         values = (a @ sh_matrix(directions, order_a).T) * weights
         return (sh_matrix(directions, order_out).T * values[..., None, :]) @ sh_matrix(directions, order_in)
-    a, (indices, values) = list(a), gaunt(order_a, order_in, order_out)
+    indices, values = gaunt(order_a, order_in, order_out)
     matrix = [[None] * shape[1] for _ in range(shape[0])]
     for (k, j, i), value in zip(indices.tolist(), values.tolist()):
         if max(i, j) < min(shape) and i > j:          # symmetric: only once

@@ -27,8 +27,8 @@ import numpy as np
 
 from ..arrays import vectors3
 from ..errors import message
+from .arguments import check_coefficients, check_leading_axes
 from .basis import check_order
-from .lobes import MAX_ORDER
 
 _TOLERANCE = 1e-5
 """Largest entry of ``R^T R - 1`` of what passes for a rotation: a few float32 products of rotations stay below."""
@@ -98,7 +98,7 @@ def rotate(coeffs, rotation):
     ----------
     coeffs : sequence of (n + 1)**2 floats, or ndarray (..., (n + 1)**2)
         Coefficients to the order n, 0 to 64; index ``l * (l + 1) + m``. Dr.Jit floats of any backend and precision, Python floats, or
-        a numpy array.
+        a numpy array, real or complex. In a sequence, None is a coefficient known to be zero.
     rotation : 3x3 matrix, or a transform
         R: a Dr.Jit or Mitsuba matrix, a numpy array, three rows, or an object with such an attribute ``matrix``, as
         ``mi.ScalarTransform4f().rotate([0, 0, 1], 90)`` has. Of a 4x4 matrix, the upper left 3x3 entries count: directions do
@@ -111,18 +111,20 @@ def rotate(coeffs, rotation):
     Raises
     ------
     TypeError, ValueError
-        If `coeffs` does not have (n + 1)**2 entries, or `rotation` is of another form, or scales, shears or mirrors (by more than
-        1e-5). Matrices that Dr.Jit traces are not read, so not checked.
+        If `coeffs` does not have (n + 1)**2 numbers, or `rotation` is of another form, or scales, shears or mirrors (by more than
+        1e-5), or there are not as many rotations as vectors. Matrices that Dr.Jit traces are not read, so not checked.
 
     Notes
     -----
     Equation (1) of :py:mod:`mi_shlight.sh.rotation`. Error relative to the vector's length at order 20: 3e-6 (float32), 2e-14 (float64);
     no rotation is special. Differentiable once by both arguments, everywhere.
     """
-    order = coefficients_order("rotate", "coeffs", coeffs)
+    coeffs, order = check_coefficients("rotate", "coeffs", coeffs, sparse=True)
     if not isinstance(coeffs, np.ndarray):
         return rotate_frame(coeffs, *_axes("rotate", rotation), order)
-    blocks = rotation_matrices(static_rotation("rotate", "rotation", rotation, batched=True), order)
+    matrix = static_rotation("rotate", "rotation", rotation, batched=True)
+    check_leading_axes("rotate", "coeffs, rotation", coeffs.shape[:-1], matrix.shape[:-2])
+    blocks = rotation_matrices(matrix, order)
     parts = (coeffs[..., l * l:(l + 1) ** 2, None] for l in range(order + 1))
     return np.concatenate([(block @ part)[..., 0] for block, part in zip(blocks, parts)], axis=-1)
 
@@ -137,7 +139,7 @@ def rotate_frame(coeffs: list, s, t, n, order: int, inverse: bool = False) -> li
     s, t, n : 3-vectors
         The frame's x, y and z axis in the world: orthonormal, right-handed (not checked).
     order : int
-        Highest degree, 0 to 64 (not checked).
+        Highest degree, 0 to 64.
     inverse : bool
         From the world to the frame.
 
@@ -145,17 +147,25 @@ def rotate_frame(coeffs: list, s, t, n, order: int, inverse: bool = False) -> li
     -------
     list of (order + 1)**2 floats.
 
+    Raises
+    ------
+    TypeError, ValueError
+        If `coeffs` does not have (order + 1)**2 numbers, an axis is no 3-vector, or `order` not an integer from 0 to 64.
+
     Notes
     -----
     Accuracy and derivatives as for :py:func:`rotate`.
     """
+    order = check_order("rotate_frame", order)
+    values, given = check_coefficients("rotate_frame", "coeffs", coeffs, sparse=True)
+    if given != order:
+        raise ValueError(message("rotate_frame", "coeffs", f"have {(order + 1) ** 2} entries, as 'order' is {order}", coeffs))
     s, t, n = vectors3("rotate_frame", s=s, t=t, n=n)
     axes, bands, x90 = [dr.detach(a) for a in (s, t, n)], range(order + 1), quarter_turn(order)
     alpha, beta, gamma = (multiples(*angle, order) for angle in euler_angles(axes[2], axes[0]))
     turn = None
     if dr.grad_enabled(s, t, n):                      # a x da sums to twice the rotation vector
         turn = 0.5 * sum(dr.cross(a, b - a) for a, b in zip(axes, (s, t, n)))
-    values = list(coeffs)
     if inverse:
         values = values if turn is None else _turned(values, -turn, bands)
         alpha, beta, gamma = ((cosines, [-sine for sine in sines]) for cosines, sines in (gamma, beta, alpha))
@@ -208,19 +218,6 @@ def rotation_matrices(rotation, order: int) -> list:
         block = from_left(0, x90.T @ from_left(1, x90))
         blocks.append(block * cosine[2][..., None, :] - (block * sine[2][..., None, :])[..., ::-1])
     return blocks
-
-
-def coefficients_order(function: str, argument: str, coeffs) -> int:
-    """Order n of a sequence of (n + 1)**2 coefficients, or of an ndarray (..., (n + 1)**2); or TypeError/ValueError."""
-    rule = f"have (order + 1)**2 entries, order 0 to {MAX_ORDER}"
-    try:
-        count = coeffs.shape[-1] if isinstance(coeffs, np.ndarray) else len(coeffs)
-    except (TypeError, IndexError):
-        raise TypeError(message(function, argument, rule, coeffs, "Pass a list of floats, or a numpy array.")) from None
-    order = math.isqrt(count) - 1
-    if (order + 1) ** 2 != count or not 0 <= order <= MAX_ORDER:
-        raise ValueError(message(function, argument, rule, coeffs, f"It has {count}; all of every degree are needed."))
-    return order
 
 
 def _axes(function: str, rotation) -> list:

@@ -6,8 +6,8 @@ import math
 import numpy as np
 
 from ..errors import check_choice, check_number
+from .arguments import check_coefficients
 from .basis import check_order
-from .rotation import coefficients_order
 
 KINDS = ("none", "hann", "lanczos", "gauss")
 
@@ -56,7 +56,7 @@ def window(coeffs, kind: str, width: float = None):
     Parameters
     ----------
     coeffs : sequence of (n + 1)**2 floats, or ndarray (..., (n + 1)**2)
-        Coefficients of Dr.Jit or Python floats.
+        Coefficients: Dr.Jit or Python floats, or a numpy array, real or complex.
     kind, width
         As for :py:func:`window_factors`.
 
@@ -67,7 +67,7 @@ def window(coeffs, kind: str, width: float = None):
     Raises
     ------
     TypeError, ValueError
-        If `coeffs` does not have (n + 1)**2 entries, or another argument is out of its range.
+        If `coeffs` does not have (n + 1)**2 numbers, or another argument is out of its range.
 
     Notes
     -----
@@ -84,7 +84,7 @@ def window(coeffs, kind: str, width: float = None):
 
     Measured by ``validation/green.py``.
     """
-    order = coefficients_order("window", "coeffs", coeffs)
+    coeffs, order = check_coefficients("window", "coeffs", coeffs)
     factors = [factor for l, factor in enumerate(window_factors(kind, order, width)) for _ in range(2 * l + 1)]
     if isinstance(coeffs, np.ndarray):
         return coeffs * np.array(factors)
