@@ -46,7 +46,7 @@ def _components(function: str, name: str, value) -> tuple:
         components = tuple(value[k] for k in range(3)) if length == 3 else ()
     except TypeError:
         components = ()
-    if len(components) != 3 or any(isinstance(c, (str, bytes, bool)) for c in components):
+    if len(components) != 3 or any(isinstance(c, (str, bytes, bool, complex)) for c in components):
         raise TypeError(message(function, name, _RULE, value, _HINT))
     return tuple(float(c) if isinstance(c, int) or type(c).__module__ == "numpy" else c for c in components)
 

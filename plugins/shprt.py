@@ -9,7 +9,8 @@ SH-lit precomputed radiance transfer (:monosp:`shprt`)
  * - order
    - |int|
    - Highest degree of the spherical harmonics, 0 to 64. ``(order + 1)**2`` coefficients are used. Shading time grows with the cube
-     of the order, and kernels take long to compile: one to three seconds at 20, about ten at 32. (Default: 8)
+     of the order, and kernels take long to compile: one to three seconds at 20, about ten at 32. Transfer is localised up to 14. (Default:
+     8)
 
  * - method
    - |string|
@@ -311,11 +312,15 @@ def build():
         def _current_transfer(self, scene, baked, kind: str, same_geometry, progress):
             """The transfer `baked` before, if it still fits the scene, otherwise a new bake."""
             state, from_file = self._state, self.transfer_file and kind != "visibility"
-            if baked is not None and from_file and not same_geometry:
-                baked.check(scene, state.receivers)
-            if baked is not None and baked.distant != self._state.distant.projected:
+            lit = [r for r in state.receivers if kind == "visibility" or r.diffuse]
+            if baked is not None and baked.distant != state.distant.projected:
+                if from_file:
+                    rule = f"be the bake of a scene {'with' if state.distant.projected else 'without'} light at an infinite distance"
+                    raise ValueError(message("shprt", "transfer_file", rule, self.transfer_file, "Bake it anew for this scene."))
                 baked = None                          # another kind of light has come or gone
-            if baked is not None and (from_file or same_geometry or baked.fits(scene, state.receivers)):
+            if baked is not None and from_file and not same_geometry:
+                baked.check(scene, lit)
+            if baked is not None and (from_file or same_geometry or baked.fits(scene, lit)):
                 distance = moved(baked.outlines, [light.outline for light in self._state.lights])
                 if distance <= baked.light_margin:
                     return baked
@@ -328,7 +333,7 @@ def build():
                     warnings.warn(f"{text}; baking again.", StaleTransferWarning, stacklevel=2)
             samples = self.transfer_samples or DEFAULT_SAMPLES["vertex"]
             order = self.visibility_order if kind == "visibility" else self.order
-            return trace_transfer(scene, state.lights, state.receivers, order, samples, self.max_edge, self.light_margin, progress,
+            return trace_transfer(scene, state.lights, lit, order, samples, self.max_edge, self.light_margin, progress,
                                   kind, self.localised, state.distant.projected)
 
         def sample(self, mode, scene, sampler, ray, active=True, **kwargs):

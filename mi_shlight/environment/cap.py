@@ -124,7 +124,7 @@ def unit_vector(name: str, argument: str, vector):
         raise TypeError(message(name, argument, "be a single 3-vector", vector, "Many are one Dr.Jit vector of three arrays."))
     if not dr.is_jit_v(vector) or all(c.state == dr.VarState.Literal for c in vector):
         values = [dr.slice(dr.detach(c), 0) for c in vector]
-        if not 0 < max(map(abs, values)) < math.inf or any(map(math.isnan, values)):
+        if not any(values) or not all(map(math.isfinite, values)):
             raise ValueError(message(name, argument, "be a 3-vector of finite length other than 0", values))
     return unit(not_literal(vector))
 

@@ -39,7 +39,8 @@ def project_angle_map(image, order: int, forward=(0.0, 0.0, -1.0), up=(0.0, 1.0,
     order : int
         Highest degree, 0 to 64.
     forward, up : 3-vectors
-        Directions of the map's middle and, at right angles to it, of what stands above the middle. The right is ``forward x up``.
+        Directions, of any length but 0, of the map's middle and, at right angles to it, of what stands above the middle. The right is
+        ``forward x up``.
 
     Returns
     -------
@@ -134,7 +135,7 @@ def latlong(function, height: int, vector: type = None) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError
-        If `height` is out of range, or `function` does not return one value per direction.
+        If `height` is out of range, `function` does not return one value or colour per direction, or `vector` is no such type.
     """
     height = _height("latlong", height)
     directions = _directions(height).T

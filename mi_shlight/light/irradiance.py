@@ -77,15 +77,15 @@ def irradiance_shader(normal):
     The point opposite to the apex must lie more than 2 degrees off the light, as that of ``interior_direction`` does.
     """
     number, vector = type(normal[0]), type(normal)
-    east = direction(dr.cross(dr.select(abs(normal[0]) < 0.5, vector(1, 0, 0), vector(0, 1, 0)), normal))
-    north = dr.cross(normal, east)
-    flat = lambda v: (dr.dot(east, v) + TINY, dr.dot(north, v))  # the shift gives a corner in the pole an azimuth, too
-    tilt = east * 0.012 + north * 0.029               # in symmetric scenes edges would lie along the way to the pole
     dot = lambda a, b: a[0] * b[0] + a[1] * b[1]
     cross = lambda a, b: a[0] * b[1] - a[1] * b[0]
 
-    def term(v_i, v_j, apex):
-        apex = apex + tilt
+    def term(v_i, v_j, point_data):
+        apex, normal = point_data
+        east = direction(dr.cross(dr.select(abs(normal[0]) < 0.5, vector(1, 0, 0), vector(0, 1, 0)), normal))
+        north = dr.cross(normal, east)
+        flat = lambda v: (dr.dot(east, v) + TINY, dr.dot(north, v))     # the shift gives a corner in the pole an azimuth, too
+        apex = apex + east * 0.012 + north * 0.029    # in symmetric scenes edges would lie along the way to the pole
         above = dr.dot(normal, apex) >= 0
         frame = edge_frame(v_i, v_j)
         height_i, height_j = dr.dot(normal, frame.omega_i), dr.dot(normal, frame.omega_j)
@@ -117,7 +117,8 @@ def irradiance_shader(normal):
         return [dr.select(frame.sin > 0, value, 0) for value in values]
 
     def shade(light, x, apex, active=True):
-        lambert, shadow, passes = light.sum(term, x, apex, 3, active)
+        # loops see derivatives of their state alone, so the normal joins it, beside the apex
+        lambert, shadow, passes = light.sum(term, x, (apex, normal), 3, active)
         return lambert + dr.select(passes > 0, shadow, 0)  # all above or all below: the rest is 0 but for rounding
 
     return shade

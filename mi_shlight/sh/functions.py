@@ -73,7 +73,7 @@ def project_function(f, order: int, latitudes: int = None, vector: type = None):
     Raises
     ------
     TypeError, ValueError
-        If an argument is out of its range, or what `f` returns does not have one value per direction.
+        If an argument is out of its range or `vector` no such type, or what `f` returns does not have one real value per direction.
 
     Notes
     -----
@@ -121,7 +121,7 @@ def project_function_stratified(f, order: int, samples: int = 10_000, seed: int 
     Raises
     ------
     TypeError, ValueError
-        If an argument is out of its range, or what `f` returns does not have one value per direction.
+        If an argument is out of its range, or what `f` returns does not have one real value per direction.
     """
     order = check_order("project_function_stratified", order)
     side = math.isqrt(check_integer("project_function_stratified", "samples", samples, 9, 10 ** 8) - 1) + 1

@@ -47,6 +47,9 @@ class Bounces:
         dr.eval(self._rows)
         self._bounces = settings.bounces or MAX_BOUNCES
         self.transfer = self._reflectance = None
+        if settings.bounce_lighting == "transfer" and state.distant.delta_count:
+            complain("light from emitters without an extent is not reflected between surfaces with bounce_lighting='transfer'. Choose "
+                     "'gather'.")
         lacking = [shape_name(r.shape) for r in state.receivers if not (r.baked or r.black)]
         if lacking:
             complain(f"{len(lacking)} shape(s) without vertices, such as '{lacking[0]}': they receive light from other surfaces but "
@@ -130,7 +133,7 @@ class Bounces:
                 start += dr.gather(mi.Float, lookup.means, row + g * count) * dr.gather(mi.Float, cosine, coefficient * count + row)
             groups.append(self._shown(self._solve(start, colours, self.channels * size).total, self.channels * size))
             dr.eval(groups)
-        return dr.concat(groups)
+        return dr.concat(groups) if groups else dr.zeros(mi.Float, 1)
 
 
 class BouncedLight:

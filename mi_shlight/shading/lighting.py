@@ -45,17 +45,17 @@ class Lighting:
             if self.distant.projected:
                 total += self._far(points, cosine_transfer(points.n, self._settings.order))
         else:
-            total = self.transferred(points, transfer_of)
+            total = self.transferred(points, transfer_of, self._settings.parts.direct == "exact")
         if not deltas:
             return total
         lit = points.p, points.n, points.wavelengths, points.active
         return total + self.distant.delta_irradiance(*lit, transfer_of is not None)
 
-    def transferred(self, points: Points, transfer_of):
-        """The same by lights that have an extent, for any transfer."""
+    def transferred(self, points: Points, transfer_of, exact: bool = False):
+        """The same by lights that have an extent, for any transfer; `exact` as in :py:meth:`NearLights.shadowed`."""
         settings = self._settings
         factors = window_factors(settings.window, settings.order) if settings.window != "none" else None
-        total = self.near.shadowed(points, _windowed(transfer_of, None if settings.localised else factors))
+        total = self.near.shadowed(points, _windowed(transfer_of, None if settings.localised else factors), exact)
         if not self.distant.projected:
             return total
         coeffs, _ = _windowed(transfer_of, factors)(mi.UInt32(self._state.group_count), None)

@@ -41,23 +41,24 @@ class NearLights:
         self._order, self._method = order, method if nodes is None else nodes.method
         self._spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
 
-    def shadowed(self, points: Points, transfer_of):
+    def shadowed(self, points: Points, transfer_of, exact: bool = False):
         """``sum_k L_k sum_lm T_lm L_lm`` over all lights: with transfer of diffuse reflection, what a white surface would send; spectrum.
 
         `transfer_of(g, lights)`: (coefficients, visible) of light group g, `lights` being the first and one past the last. Coefficients
-        come on top of the part `visible` of the exact unshadowed light, Lambert's formula, unless that is None. They carry no derivatives.
+        come on top of the part `visible` of the exact unshadowed light, Lambert's formula, if it is `exact`. They carry no derivatives.
         """
         def shading_of(g, lights):
             coeffs, visible = dr.detach(transfer_of(g, lights))
             shade, shade_mesh = light_shader(coeffs, self._order, self._method), mesh_shader(coeffs, self._order, self._method)
             return (lambda n: coeffs, lambda light, x, apex, n: shade(light, x, apex), lambda light, x, n: shade_mesh(light, x), visible)
 
-        return self._sum(points, shading_of)
+        total, seen = self._sum(points, shading_of, self._state.group_count if exact else 0)
+        return total + self._exact(points, seen) if exact and self._table else total
 
     def unshadowed(self, points: Points):
         """The same where nothing casts shadows on diffuse surfaces, to the band limit; follows the normals' derivatives."""
         shading = lambda n: cosine_transfer(n, self._order), *self._unshadowed_shaders(points.n), None
-        return self._sum(points, lambda g, lights: shading)
+        return self._sum(points, lambda g, lights: shading)[0]
 
     def coefficients(self, points: Points, weigh=list, shadow_of=None, order: int | None = None) -> list:
         """SH coefficients of all lights at the points, for each of the floats that `weigh` makes of a radiance.
@@ -102,29 +103,25 @@ class NearLights:
         start = mi.UInt32(0), zeros(size), mi.Point3f(points.p)
         return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
-    def _sum(self, points: Points, shading_of):
-        """Sum over all lights. `shading_of(g, lights)`: for a light group the transfer as a function of the normal, the shaders, for
-        polygons and for meshes, that meet the group's lights with it, and the part of the exact light to add.
+    def _sum(self, points: Points, shading_of, groups: int = 0) -> tuple:
+        """(sum over all lights, parts of the exact light that are seen, of the first `groups` groups).
 
-        All are given the normal, too: only unshadowed transfer and exact light follow it, and only from a loop's state come derivatives.
+        `shading_of(g, lights)`: for a light group the transfer as a function of the normal, the shaders, for polygons and for meshes, that
+        meet the group's lights with it, and the part of the exact light that is seen.
+        All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
         """
         state, table, nodes, lit = self._state, self._table, self._nodes, points.active
         wavelengths, Spectrum = points.wavelengths, self._spectrum
         if table is None:
-            return Spectrum(0)
+            return Spectrum(0), []
         meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
 
-        def exact(k, x, n):
-            irradiance = irradiance_shader(n)(table.facets.edges(k, x, lit), x, table.facets.apex(k, x))
-            return table.radiance(k, wavelengths) * (irradiance * dr.inv_pi)
-
-        def group_body(g, total, x, n):
+        def group_body(g, total, seen, x, n):
             bounds = lambda table: (dr.gather(mi.UInt32, table, g), dr.gather(mi.UInt32, table, g + 1))
             transfer, shade, shade_mesh, visible = shading_of(g, bounds(state.groups))
-            if visible is not None:
-                total = total + self._each(exact, *bounds(state.facets), x, n) * visible
+            seen = [dr.select(g == i, visible, before) for i, before in enumerate(seen)]
             if nodes is not None:
-                return g + 1, total + Spectrum(*nodes.shade(x, transfer(n), shade, g, lit, (n,))), x, n
+                return g + 1, total + Spectrum(*nodes.shade(x, transfer(n), shade, g, lit, (n,))), seen, x, n
 
             def polygon(i, x, n):
                 k = table.polygon(i)
@@ -138,14 +135,34 @@ class NearLights:
                 total = total + self._each(polygon, *bounds(state.polygons), x, n)
             if meshes:
                 total = total + self._each(mesh, *bounds(state.meshes), x, n)
-            return g + 1, total, x, n
+            return g + 1, total, seen, x, n
 
-        start = (mi.UInt32(0), Spectrum(0), mi.Point3f(points.p), mi.Normal3f(points.n))
+        start = mi.UInt32(0), Spectrum(0), [mi.Float(0) for _ in range(groups)], mi.Point3f(points.p), mi.Normal3f(points.n)
+        _, total, seen, *_ = dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)
+        return total, seen
+
+    def _exact(self, points: Points, seen: list):
+        """Light without a band limit, Lambert's formula, of which each group's part `seen` arrives.
+
+        Two loops over the same lights inside of one over the groups would be too much for Dr.Jit's derivatives.
+        """
+        state, table = self._state, self._table
+
+        def facet(k, x, n, part):
+            irradiance = irradiance_shader(n)(table.facets.edges(k, x, points.active), x, table.facets.apex(k, x))
+            return table.radiance(k, points.wavelengths) * (irradiance * part * dr.inv_pi)
+
+        def group_body(g, total, seen, x, n):
+            first, last = (dr.gather(mi.UInt32, state.facets, g + k) for k in range(2))
+            part = sum((dr.select(g == i, part, 0) for i, part in enumerate(seen)), mi.Float(0))
+            return g + 1, total + self._each(facet, first, last, x, n, part), seen, x, n
+
+        start = mi.UInt32(0), self._spectrum(0), seen, mi.Point3f(points.p), mi.Normal3f(points.n)
         return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
-    def _each(self, body, first, last, x, n):
-        step = lambda k, total, x, n: (k + 1, total + body(k, x, n), x, n)
-        start = (first, self._spectrum(0), x, n)
+    def _each(self, body, first, last, x, n, *others):
+        step = lambda k, total, x, n, *others: (k + 1, total + body(k, x, n, *others), x, n, *others)
+        start = (first, self._spectrum(0), x, n, *others)
         return dr.while_loop(start, lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1]
 
     def _unshadowed_shaders(self, n):

@@ -43,7 +43,7 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
     localised : bool
         Fit T to the directions from which the lights of a group are seen, or may be seen after they have moved by `light_margin`
         (:py:mod:`mi_shlight.transfer.localised`), in place of a projection over the sphere; many times more accurate. Such a
-        bake is of use at its own `order` only. Of no effect for lights all around, at order 0 and beyond 20.
+        bake is of use at its own `order` only. Of no effect for lights all around, at order 0 and beyond 14.
     max_edge : float
         Triangles are refined, for baking only, until no edge is longer; scene units. 0: 1/64 of the diagonal of the receivers'
         bounding box. An edge is cut into at most 256 parts; a warning tells where that is not enough.

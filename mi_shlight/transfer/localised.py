@@ -43,7 +43,7 @@ SMALLEST, LARGEST = math.radians(1.5), math.radians(80)
 LEVELS = 64
 """Half-angles in the tables, in equal ratios: 6.5 % apart."""
 
-MAX_FIT_ORDER = 20
+MAX_FIT_ORDER = 14
 """Beyond it (1) is not worth the time that its kernels take to compile: 4 does for most shadows."""
 
 

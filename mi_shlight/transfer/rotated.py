@@ -58,12 +58,13 @@ def rotate_transfer(transfer: Transfer, scene, moved) -> Transfer:
     if [(kind, topology) for kind, topology, *_ in old] != [(kind, topology) for kind, topology, *_ in new]:
         raise ValueError(message(name, "moved", "have the shapes of 'scene' in the same order",
                                  ", ".join(shape_name(s) for s in moved.shapes()), hint))
-    rotation, translation = rigid_motion(*(np.concatenate([points for _, _, points, _ in shapes]) for shapes in (old, new)))
-    size = np.ptp(np.concatenate([points for _, _, points, _ in old]), axis=0).max()
-    for shape, (_, _, points, normals), (_, _, moved_points, moved_normals) in zip(moved.shapes(), old, new):
-        apart = abs(points @ rotation.T + translation - moved_points).max() / size
+    points, moved_points = (np.concatenate([points for _, _, points, *_ in shapes]) for shapes in (old, new))
+    size = np.ptp(points, axis=0).max()
+    rotation, translation = rigid_motion(points, moved_points)
+    for shape, (_, _, points, normals, radius), (_, _, moved_points, moved_normals, moved_radius) in zip(moved.shapes(), old, new):
+        apart = max(abs(points @ rotation.T + translation - moved_points).max(), abs(radius - moved_radius))
         turned = abs(normals @ rotation.T - moved_normals).max(initial=0)
-        if apart > TOLERANCE or turned > 100 * TOLERANCE:
+        if apart > TOLERANCE * size or turned > 100 * TOLERANCE:
             raise ValueError(message(name, "moved", "be 'scene' after a rotation and a translation, of all shapes together",
                                      f"shape '{shape_name(shape)}' elsewhere, or otherwise shaped", hint))
     content = {a.content: b.content for a, b in zip(receivers(scene, keep_quiet), receivers(moved, keep_quiet))}
@@ -83,17 +84,17 @@ def rigid_motion(points: np.ndarray, moved: np.ndarray) -> tuple:
 
 
 def _points(scene) -> list:
-    """Of each shape its class, what must not change, and as float64 the points and vertex normals that show how it moved."""
+    """Of each shape its class and topology, and as float64 the points and vertex normals that show how it moved, and a sphere's radius."""
     shapes = []
     for shape in scene.shapes():
         if shape.is_mesh():
             faces, positions, normals, side = mesh_arrays(shape)
             shapes.append(("mesh", (faces.tobytes(), side), positions.astype(np.float64),
-                           np.zeros((0, 3)) if normals is None else normals.astype(np.float64)))
+                           np.zeros((0, 3)) if normals is None else normals.astype(np.float64), 0.0))
         elif shape.class_name() == "Sphere" and not shape.is_emitter():
             box = shape.bbox()
-            radius = round(float((box.max - box.min).x) / 2, 4)
-            shapes.append(("sphere", radius, np.array([np.ravel(box.center())], dtype=np.float64), np.zeros((0, 3))))
+            radius = float((box.max - box.min).x) / 2
+            shapes.append(("sphere", None, np.array([np.ravel(box.center())], dtype=np.float64), np.zeros((0, 3)), radius))
         else:
             raise ValueError(message("rotate_transfer", "scene", "consist of meshes, and spheres that do not shine",
                                      f"'{shape_name(shape)}' ({shape.class_name()})"))

@@ -156,10 +156,17 @@ def test_derivatives_of_a_shadow():
     (lambda: project_cap("wide", 3), TypeError, "'half_angle' must be a number"),
     (lambda: project_cap(0.5, 65), ValueError, "'order' must be an integer from 0 to 64"),
     (lambda: project_cap(0.5, 3, "up"), TypeError, "'direction' must be a 3-vector"),
+    (lambda: project_cap(0.5, 2, (0, np.inf, 1)), ValueError, "'direction' must be a 3-vector of finite length other than 0, got .0.0, i"),
+    (lambda: project_cap(0.5, 2, dr.llvm.Array3f(0, 0, 0)), ValueError, "'direction' must be a 3-vector of finite length"),
+    (lambda: project_cap(dr.llvm.Float(0.5, 1), 2, (0, 0, 0)), ValueError, "'direction' must be a 3-vector of finite length"),
+    (lambda: project_cap(0.5, 2, [(0, 0, 1)]), TypeError, "'direction' must be a single 3-vector"),
+    (lambda: project_cap(0.5, 2, np.array([0, 0, 1j])), TypeError, "'direction' must be a 3-vector of floating"),
+    (lambda: proxy_shadow([1.0], (0, 0, 0), 0.3), ValueError, "'direction' must be a 3-vector of finite length"),
+    (lambda: proxy_shadow(np.ones((2, 4)), (0, 0, 1), 0.3), TypeError, "'coeffs' must be a list of 4 floats"),
     (lambda: proxy_shadow([1.0, 2.0], (0, 0, 1), 0.3), ValueError, "'coeffs' must"),
     (lambda: proxy_shadow(3.0, (0, 0, 1), 0.3), TypeError, "'coeffs' must"),
     (lambda: proxy_shadow([1.0], (0, 0, 1), 0.3, order=-1), ValueError, "'order' must"),
 ])
 def test_errors(call, error, text):
-    with pytest.raises(error, match=text):
+    with pytest.raises(error, match=r"\(\): " + text):
         call()

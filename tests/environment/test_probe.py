@@ -45,6 +45,19 @@ def test_constant_probe():
     np.testing.assert_allclose(coeffs, expected, atol=2e-5)
 
 
+def test_only_the_inscribed_circle_counts():
+    """Of 12 x 12 pixels three in each corner lie outside."""
+    inside = np.random.default_rng(1).random((12, 12))
+    image = inside.copy()
+    for i, j in ((0, 0), (0, 1), (1, 0)):
+        image[[i, i, -1 - i, -1 - i], [j, -1 - j, j, -1 - j]] = np.inf, -np.inf, np.nan, 1e300
+    np.testing.assert_array_equal(project_angle_map(image, 3), project_angle_map(inside, 3))
+    np.testing.assert_array_equal(angle_map_to_latlong(image, 20), angle_map_to_latlong(inside, 20))
+    image[1, 1] = np.inf
+    with pytest.raises(ValueError, match="'image' must be"):
+        project_angle_map(image, 3)
+
+
 @pytest.mark.parametrize("forward,up", FRAMES)
 def test_smooth_probe(forward, up):
     coeffs = project_angle_map(angle_map(smooth, 256, forward, up), 4, forward, up)
@@ -82,17 +95,23 @@ def test_map_of_a_function():
     np.testing.assert_allclose(pixels[2, 2], [math.sin(phi), 0, -math.cos(phi)], atol=1e-7)
     np.testing.assert_allclose(latlong(lambda d: d * 2, 5, mi.Vector3f), 2 * pixels, rtol=1e-6)
     np.testing.assert_allclose(latlong(lambda d: d.y, 5, mi.Vector3f), pixels[..., 1], atol=1e-7)
+    assert (latlong(lambda d: mi.Float(2), 5, mi.Vector3f) == 2).all()
 
 
 @pytest.mark.parametrize("call,error,text", [
     (lambda: project_angle_map(np.zeros((4, 5)), 3), ValueError, r"'image' must be a square array .* got 'an array \(4, 5\)'"),
-    (lambda: project_angle_map(np.full((4, 4), np.nan), 3), ValueError, "got 'one with inf or nan'"),
+    (lambda: project_angle_map(np.full((4, 4), np.nan), 3), ValueError, "'image' must be .* got 'one with inf or nan'"),
     (lambda: project_angle_map("probe.hdr", 3), TypeError, "'image' must be a square array"),
+    (lambda: project_angle_map(np.zeros((4, 4), complex), 3), TypeError, "'image' must be a square array .* got 'an array of complex128'"),
+    (lambda: project_angle_map(np.zeros((4, 4)), 3, forward="ahead"), TypeError, "'forward' must be a 3-vector of floating point numbers"),
     (lambda: project_angle_map(np.zeros((4, 4)), 3, up=(0, 0, 1)), ValueError, "'up' must stand at right angles to 'forward'"),
-    (lambda: project_angle_map(np.zeros((4, 4)), 3, forward=(0, 0, 0)), ValueError, "'forward' must be a 3-vector of some length"),
+    (lambda: project_angle_map(np.zeros((4, 4)), 3, forward=(0, 0, 0)), ValueError, "'forward' must be a 3-vector of finite length"),
     (lambda: angle_map_to_latlong(np.zeros((4, 4)), 2), ValueError, "'height' must be an integer from 3 to 16384"),
-    (lambda: latlong(lambda d: d[:5], 8), ValueError, "'function' must return one value or colour for each of 128 directions"),
+    (lambda: angle_map_to_latlong(np.zeros((4, 4)), 3, up=(0, np.inf, 0)), ValueError, "'up' must be a 3-vector of finite length"),
+    (lambda: latlong(3, 3), TypeError, "'function' must be a function of unit vectors, got 3"),
+    (lambda: latlong(lambda d: d[:5], 8), ValueError, "'function' must return one number, or K numbers, for each of 128 directions"),
+    (lambda: latlong(lambda d: d * 1j, 3), TypeError, "'function' must return .* got 'an array of complex128'"),
 ])
 def test_errors(call, error, text):
-    with pytest.raises(error, match=text):
+    with pytest.raises(error, match=r"\(\): " + text):
         call()

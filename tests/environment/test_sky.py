@@ -127,10 +127,12 @@ def test_derivatives_by_the_sun(kind):
     (lambda: cie_sky((0, 1, 0), "clear"), ValueError, "'sun' must be a 3-vector with kind='clear'"),
     (lambda: cie_sky((0, 1, 0), "overcast", SUN), ValueError, "'sun' must be left out with kind='overcast'"),
     (lambda: cie_sky((0, 1, 0), "clear", SUN, zenith_luminance=-1), ValueError, "'zenith_luminance' must be a finite number >= 0"),
-    (lambda: project_sky("clear", 3, (0, 0, 0)), ValueError, "'sun' must be a vector of some length"),
+    (lambda: project_sky("clear", 3, (0, 0, 0)), ValueError, "'sun' must be a 3-vector of finite length"),
+    (lambda: cie_sky((0, 0, 0), "overcast"), ValueError, "'direction' must be a 3-vector of finite length"),
+    (lambda: cie_sky((0, 1, 0), "clear", SUN, (0, np.inf, 1)), ValueError, "'zenith' must be a 3-vector of finite length"),
     (lambda: project_sky("clear", 3, SUN, zenith="y"), TypeError, "'zenith' must be a 3-vector"),
     (lambda: project_sky("clear", 99, SUN), ValueError, "'order' must be an integer from 0 to 64"),
 ])
 def test_errors(call, error, text):
-    with pytest.raises(error, match=text):
+    with pytest.raises(error, match=r"\(\): " + text):
         call()

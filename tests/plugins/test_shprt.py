@@ -229,6 +229,21 @@ def test_transfer_file(tmp_path):
         prepared(shadowed_scene(0.1), order=3, **file)
 
 
+def test_transfer_file_and_what_it_does_not_hold(tmp_path):
+    """Light at an infinite distance must have been there; gloss, and surfaces that have nothing else, need nothing of the file."""
+    metal = {"type": "roughconductor", "alpha": 0.5}
+    parts = {"floor": floor(), "light": light(), "block": block([-0.3, 0.3, -0.3], [0.3, 0.6, 0.3], metal)}
+    what, sky = scene(**parts), scene(**parts, sky={"type": "constant", "radiance": 0.2})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnsupportedSceneWarning)
+        mi_shlight.bake_transfer(what, 3, samples=32, max_edge=1.0).save(tmp_path / "bake.npz")
+    file = {"transfer_file": str(tmp_path / "bake.npz"), "order": 3, "bsdf_order": 3, "visibility_order": 1, "max_edge": 1.0,
+            "transfer_samples": 32, "transfer": "shadowed+glossy"}
+    np.testing.assert_array_equal(render(what, **file), render(what, **{**file, "transfer_file": ""}))
+    with pytest.raises(ValueError, match="'transfer_file' must be the bake of a scene with light at an infinite distance"):
+        prepared(sky, **file)
+
+
 def test_transfer_file_beside_the_scene(tmp_path):
     """Its path is relative to the scene's folder."""
     (tmp_path / "floor.xml").write_text((SCENES / "floor.xml").read_text().replace(
@@ -407,7 +422,8 @@ def test_no_light_at_render():
     ({"transfer": "interreflected", "transfer_domain": "pixel"}, "'transfer_domain' must be vertex with interreflected"),
     ({"window": "box"}, "'window' must be one of"), ({"bounces": -1}, "'bounces' must"), ({"bounce_samples": 0}, "'bounce_samples' must"),
     ({"bounce_tolerance": 0.0}, "'bounce_tolerance' must"), ({"bounce_lighting": "x"}, "'bounce_lighting' must be one of"),
-    ({"visibility_order": -1}, "'visibility_order' must"), ({"bsdf_order": 80}, "'bsdf_order' must"), ({"localised": 1}, "'localised' must"),
+    ({"visibility_order": -1}, "'visibility_order' must"), ({"bsdf_order": 80}, "'bsdf_order' must"),
+    ({"localised": 1}, "'localised' must"),
     ({"transfer_domain": "texel"}, "'transfer_domain' must be one of 'vertex', 'pixel', got 'texel'"),
     ({"transfer_samples": -5}, "'transfer_samples' must be.*got -5"), ({"transfer_samples": 70_000}, "'transfer_samples' must"),
     ({"transfer_samples": 1.5}, "'transfer_samples' must be an integer.*1.5"), ({"transfer_file": 3}, "'transfer_file' must be the path"),

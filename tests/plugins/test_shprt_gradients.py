@@ -119,6 +119,8 @@ CONFIGURATIONS = {
     "coefficients": ({**UNSHADOWED, "order": 2, "method": "edge", "coefficients": True}, OPEN, ["corners", "radiance", "floor lifted"]),
     "vertex": (VERTEX, OCCLUDED, LIGHTS),
     "vertex, receiver": ({**VERTEX, "method": "edge"}, OPEN, ["corners", "floor lifted"]),
+    "exact": ({**VERTEX, "transfer": "exact"}, OCCLUDED, LIGHTS),
+    "exact, receiver": ({**PIXEL, "transfer": "exact"}, OPEN, ["corners", "floor lifted", "camera"]),
     "pixel": (PIXEL, OPEN, ["corners", "lamp", "radiance", "floor lifted"]),
     "meshes": ({**UNSHADOWED, "order": 2, "method": "edge"}, {**MESHES, "lamp": None},
                ["corners", "box", "panel", "radiance of the box", "texture", "floor tilted"]),

@@ -77,9 +77,15 @@ def test_complex_function(convention):
     (lambda: from_convention(np.ones((2, 2)), "scipy"), ValueError, "coeffs"),
     (lambda: from_convention(np.ones((2, 2, 3)), "pyshtools"), ValueError, "coeffs"),
     (lambda: from_convention(np.ones((2, 3)), "ambix"), ValueError, "coeffs"),
+    (lambda: to_convention(["a"] * 4, "ambix"), TypeError, "coeffs"), (lambda: to_convention(None, "ambix"), TypeError, "coeffs"),
+    (lambda: to_convention([[1], [1, 2]], "ambix"), TypeError, "coeffs"),
+    (lambda: from_convention(["a"] * 4, "ambix"), TypeError, "coeffs"),
+    (lambda: to_convention(np.ones(66 ** 2), "ambix"), ValueError, "coeffs"),
+    (lambda: from_convention(np.ones((2, 66, 66)), "pyshtools"), ValueError, "coeffs"),
+    (lambda: from_convention(np.ones((2, 0, 0)), "pyshtools"), ValueError, "coeffs"),
     (lambda: to_convention(np.ones(4), "ambisonic"), ValueError, "convention"),
     (lambda: to_convention(np.ones(4), 3), TypeError, "convention"),
     (lambda: Convention(norm="4 pi"), ValueError, "norm"), (lambda: Convention(complex=1), TypeError, "complex")])
 def test_bad_arguments(call, error, argument):
-    with pytest.raises(error, match=rf"\(\): '{argument}' must be|\(\): '{argument}' must have"):
+    with pytest.raises(error, match=rf"\(\): '{argument}' must "):
         call()

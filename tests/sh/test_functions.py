@@ -147,6 +147,7 @@ def test_reconstruct(precision):
     values = reconstruct([precision.Float(c) for c in coeffs.tolist()], precision.Array3(*(precision.Float(c.copy()) for c in d.T)))
     np.testing.assert_allclose(np.array(values), expected, atol=60 * precision.eps)
     np.testing.assert_allclose(reconstruct(coeffs, d), expected, atol=1e-14)
+    np.testing.assert_allclose(reconstruct(coeffs * 1j, d), expected * 1j, atol=1e-14)
     assert reconstruct(coeffs, d[1]) == pytest.approx(expected[1])
     assert reconstruct(coeffs.tolist(), d[2].tolist()) == pytest.approx(expected[2])
     np.testing.assert_allclose(reconstruct(coeffs.tolist(), d), expected, atol=1e-14)
@@ -163,10 +164,24 @@ def test_reconstruct(precision):
     (lambda: project_image(np.ones((1, 4)), 2), ValueError, "'image'"),
     (lambda: project_image(np.full((2, 4), np.nan), 2), ValueError, "with inf or nan"),
     (lambda: project_image("sky.exr", 2), TypeError, "'image'"),
+    (lambda: project_image(np.ones((4, 4), complex), 2), TypeError, "'image' must .*complex128"),
+    (lambda: project_function(None, 1), TypeError, "'f' must be a function of unit vectors, got None"),
+    (lambda: project_function(lambda d: "white", 1), TypeError, "'f' must return"),
+    (lambda: project_function(lambda d: d * 1j, 1), TypeError, "'f' must return .*complex128"),
+    (lambda: project_function_stratified(3, 1), TypeError, "'f' must be a function"),
+    (lambda: project_function(lambda d: d, 1, vector=float), TypeError, "'vector' must be the type of a Dr.Jit"),
+    (lambda: project_function(lambda d: 1.0, 1, vector=dr.llvm.Array3f), TypeError, "'f' must return a float or 3-vector"),
+    (lambda: project_function(lambda d: dr.llvm.Float(1, 2), 1, vector=dr.llvm.Array3f), ValueError, "'f' must return .*got '2 values'"),
     (lambda: project_image(MAP, 2, to_world=2 * np.eye(3)), ValueError, "'to_world' must be a rotation"),
     (lambda: project_image(MAP, 2, interpolation="cubic"), ValueError, "'interpolation'"),
     (lambda: reconstruct([1.0] * 3, [0.0, 0, 1]), ValueError, "'coeffs'"),
-    (lambda: reconstruct(np.ones(4), np.ones((2, 2))), ValueError, "'directions'")])
+    (lambda: reconstruct(np.ones(4), np.ones((2, 2))), ValueError, "'directions'"),
+    (lambda: reconstruct(np.ones((2, 3, 4)), [0, 0, 1]), ValueError, "'coeffs' must be an array"),
+    (lambda: reconstruct(["a"], [0.0, 0, 1]), TypeError, "'coeffs' must hold"),
+    (lambda: reconstruct([dr.llvm.Float(1)], np.ones((5, 3))), TypeError, "'coeffs' must hold Python floats beside a numpy array"),
+    (lambda: reconstruct([1.0], "up"), TypeError, "'directions' must be a 3-vector"),
+    (lambda: reconstruct(np.ones(4), "up"), TypeError, "'directions' must be unit vectors"),
+    (lambda: reconstruct(np.ones(4), dr.llvm.Array3f(0, 0, 1)), ValueError, "'directions' must be unit vectors")])
 def test_bad_arguments(call, error, text):
     with pytest.raises(error, match=r"\(\): .*" + text):
         call()

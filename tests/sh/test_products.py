@@ -102,6 +102,7 @@ def test_none_is_zero():
         np.testing.assert_allclose(product(sparse, other, 5), product(zonal, full, 5), atol=1e-14)
         assert triple_product(sparse, other, other) == pytest.approx(triple_product(zonal, full, full), abs=1e-13)
     np.testing.assert_allclose(product_matrix(sparse, 2), product_matrix(zonal, 2), atol=1e-15)
+    np.testing.assert_allclose(product(np.array([b, b]), sparse), [product(b, zonal)] * 2, atol=1e-14)
 
 
 def test_leading_axes_are_broadcast():
@@ -110,6 +111,14 @@ def test_leading_axes_are_broadcast():
     np.testing.assert_allclose(product(a, b)[2, 3], product(a[2, 0], b[3]), atol=1e-14)
     assert triple_product(a, b, coefficients(1)).shape == (4, 5)
     np.testing.assert_allclose(product(a, b[3].tolist()), product(a, b[3]), atol=1e-14)
+
+
+def test_complex_functions():
+    a, b, c = (coefficients(n) + 1j * coefficients(n) for n in (2, 3, 4))
+    parts = product(a.real, b.real) - product(a.imag, b.imag) + 1j * (product(a.real, b.imag) + product(a.imag, b.real))
+    np.testing.assert_allclose(product(a, b), parts, atol=1e-13)
+    np.testing.assert_allclose(product_matrix(a, 3, 5) @ b, parts, atol=1e-13)
+    assert triple_product(a, b, c) == pytest.approx(parts[:25] @ c, abs=1e-12)
 
 
 def test_derivative_is_the_product_with_the_other():
@@ -125,7 +134,19 @@ def test_derivative_is_the_product_with_the_other():
 @pytest.mark.parametrize("call, argument", [
     (lambda: product([1.0] * 3, [1.0]), "a"), (lambda: product([1.0], [1.0] * 3), "b"), (lambda: product([1.0], [1.0], -1), "order"),
     (lambda: product(np.ones(4), np.ones(5)), "b"), (lambda: triple_product([1.0], [1.0], [1.0] * 2), "c"),
-    (lambda: product_matrix([1.0] * 2, 2), "a"), (lambda: product_matrix([1.0], 99), "order"), (lambda: gaunt(1, 2, 3.5), "order")])
-def test_bad_arguments(call, argument):
+    (lambda: product_matrix([1.0] * 2, 2), "a"), (lambda: product_matrix([1.0], 99), "order_in"), (lambda: gaunt(1, 2, 3.5), "order_c"),
+    (lambda: product(np.ones((2, 4)), np.ones((3, 4))), "a, b"),
+    (lambda: triple_product(np.ones((2, 4)), np.ones(1), np.ones((3, 4))), "a, b, c")])
+def test_bad_values(call, argument):
     with pytest.raises(ValueError, match=rf"\(\): '{argument}' must "):
+        call()
+
+
+@pytest.mark.parametrize("call, argument", [
+    (lambda: product("a", "b"), "a"), (lambda: product([1.0], ["b"]), "b"), (lambda: product(np.array(["a"]), [1.0]), "a"),
+    (lambda: product(np.ones(4), [dr.llvm.Float(1)]), "b"), (lambda: product([1.0], None), "b"),
+    (lambda: triple_product([1.0], [1.0], [1j]), "c"), (lambda: triple_product([dr.llvm.Float(1)], [1.0], np.ones(1)), "a"),
+    (lambda: product_matrix(["a"], 1), "a"), (lambda: product_matrix(np.array(["a"]), 1), "a"), (lambda: gaunt([1], 1, 1), "order_a")])
+def test_bad_types(call, argument):
+    with pytest.raises(TypeError, match=rf"\(\): '{argument}' must "):
         call()

@@ -78,6 +78,16 @@ def test_traced_equals_matrices(precision, order):
     assert np.abs(np.array(back).T - coeffs).max() < 2 * tolerance
 
 
+@pytest.mark.parametrize("arguments, error, text", [
+    (([1.0] * 4, 3), ValueError, "'coeffs' must have 16 entries, as 'order' is 3"), (([1.0] * 9, 1), ValueError, "'coeffs' must have 4"),
+    (([1.0] * 4, -1), ValueError, "'order' must be an integer"), ((1.0, 0), TypeError, "'coeffs' must have"),
+    ((["a"] * 4, 1), TypeError, "'coeffs' must hold Python or Dr.Jit floats"), (([1.0], 0, "z"), TypeError, "'n' must be a 3-vector")])
+def test_bad_frame_arguments(arguments, error, text):
+    coeffs, order, n = (*arguments, (0, 0, 1))[:3]
+    with pytest.raises(error, match=r"rotate_frame\(\): " + text):
+        rotate_frame(coeffs, (1, 0, 0), (0, 1, 0), n, order)
+
+
 def test_none_is_zero():
     frame = [dr.llvm.Array3f64(*map(float, column)) for column in ROTATIONS[-1].T]
     zonal = [None] * 16
@@ -136,3 +146,12 @@ def test_bad_rotation(rotation, error, hint):
 def test_bad_coefficients(coeffs, error):
     with pytest.raises(error, match=r"rotate\(\): 'coeffs' must have \(order \+ 1\)\*\*2 entries"):
         rotate(coeffs, np.eye(3))
+
+
+@pytest.mark.parametrize("coeffs, rotation, error, text", [
+    (["a"] * 4, np.eye(3), TypeError, "'coeffs' must hold Python or Dr.Jit floats"),
+    (np.array(["a"] * 4), np.eye(3), TypeError, "'coeffs' must hold numbers"),
+    (np.ones((2, 4)), ROTATIONS[:3], ValueError, "'coeffs, rotation' must have leading axes that can be broadcast, got .*2,.*3,")])
+def test_bad_entries(coeffs, rotation, error, text):
+    with pytest.raises(error, match=r"rotate\(\): " + text):
+        rotate(coeffs, rotation)

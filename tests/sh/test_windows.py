@@ -59,7 +59,9 @@ def test_types_follow():
 @pytest.mark.parametrize("call, error, argument", [
     (lambda: window([1.0] * 3, "hann"), ValueError, "coeffs"), (lambda: window([1.0], "box"), ValueError, "kind"),
     (lambda: window([1.0], 3), TypeError, "kind"), (lambda: window([1.0], "hann", 0), ValueError, "width"),
-    (lambda: window_factors("hann", -1), ValueError, "order")])
+    (lambda: window_factors("hann", -1), ValueError, "order"),
+    (lambda: window("a", "hann"), TypeError, "coeffs"), (lambda: window([None], "hann"), TypeError, "coeffs"),
+    (lambda: window(np.array(["a"]), "hann"), TypeError, "coeffs"), (lambda: window([1.0], "hann", "1"), TypeError, "width")])
 def test_bad_arguments(call, error, argument):
-    with pytest.raises(error, match=rf"\(\): '{argument}' must be|\(\): '{argument}' must have"):
+    with pytest.raises(error, match=rf"\(\): '{argument}' must "):
         call()

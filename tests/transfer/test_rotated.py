@@ -27,15 +27,16 @@ def turned(points, transform):
 
 def object_scene(build, transform=None, sky=SKY, **changes):
     """A box on a plate beside a ball, under the sky."""
-    transform = transform or mi.ScalarTransform4f()
+    transform, scale = transform or mi.ScalarTransform4f(), changes.get("scale", 1)
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
     box, plate = build.box((-0.5, 0, -0.5), (0.5, 1, 0.5), bsdf=grey), build.quad(build.level(3, 0), "plate", bsdf=grey)
     for shape in (box, plate):
         parameters = mi.traverse(shape)
-        points = np.array(parameters["vertex_positions"]).reshape(-1, 3) * changes.get(shape.id(), 1)
+        points = np.array(parameters["vertex_positions"]).reshape(-1, 3) * (scale * changes.get(shape.id(), 1))
         parameters["vertex_positions"] = mi.Float(turned(points, transform).ravel().tolist())
         parameters.update()
-    ball = {"type": "sphere", "center": turned([1.0, 0.4, 1.0], transform).tolist(), "radius": changes.get("ball", 0.3)}
+    centre, radius = turned(np.array([1.0, 0.4, 1.0]) * scale, transform), changes.get("ball", 0.3) * scale
+    ball = {"type": "sphere", "center": centre.tolist(), "radius": radius}
     size, eye = 12, mi.ScalarTransform4f().look_at([0, 4, 5], [0, 0.3, 0], [0, 1, 0])
     camera = {"type": "perspective", "fov": 40, "to_world": transform @ eye,
               "film": {"type": "hdrfilm", "width": size, "height": size, "component_format": "float32", "rfilter": {"type": "box"}}}
@@ -101,6 +102,16 @@ def test_another_object(baked, build, change):
     before, _, transfer, _ = baked
     with pytest.raises(ValueError, match="'moved' must"):
         rotate_transfer(transfer, before, object_scene(build, motion(), **change))
+
+
+def test_sizes_are_relative_to_the_scene(build):
+    """In one of 3 mm a ball 0.04 mm larger is another one; what rounding does to it is not."""
+    turn = mi.ScalarTransform4f().rotate(AXIS.tolist(), ANGLE)
+    before, *after = (object_scene(build, way, scale=1e-3, ball=radius) for way, radius in ((None, 0.3), (turn, 0.30001), (turn, 0.34)))
+    transfer = bake_transfer(before, 1, samples=4)
+    rotate_transfer(transfer, before, after[0]).check(after[0])
+    with pytest.raises(ValueError, match="'moved' must be 'scene' after a rotation"):
+        rotate_transfer(transfer, before, after[1])
 
 
 def test_errors(baked, build):
