@@ -381,11 +381,12 @@ def build():
             white = lighting.white(points, transfer(parts.direct, self.order, state.lookup) if shadows else None, not state.glossy)
             if parts.interreflected:
                 white = white + state.bounces.picture(lighting).white(lighting, points, pi, si.shape, ~front, sampler)
-            reflectance = mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit))
+            value, gloss = mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * white, state.gloss
+            if gloss:
+                value *= gloss.share(si.shape, ~front, lit)
+            value &= lit
             if not state.glossy:
-                return reflectance * white & lit
-            gloss = state.gloss
-            value = reflectance * white * gloss.share(si.shape, ~front, lit) & lit
+                return value
             value += state.distant.delta_reflected(si, si.bsdf(), lit, shadows)
             light = lighting.arriving(points, transfer("visibility", self.visibility_order, state.blocked_lookup) if shadows else None)
             return value + gloss.reflected(gloss.attached(), si.shape, points, si.to_world(si.wi), ~front, light)

@@ -91,7 +91,7 @@ class Bounces:
         return dr.ravel(spectrum_at(row, type(wavelengths)(nodes)))
 
     def _reflecting(self, rows, wavelengths):
-        return self._points.reflectance(rows, wavelengths, self.state.gloss.share if self.state.glossy else None)
+        return self._points.reflectance(rows, wavelengths, self.state.gloss and self.state.gloss.share)
 
     def _direct(self, lighting, rows, wavelengths):
         p, n = (dr.gather(type(v), dr.ravel(v), rows) for v in (self._points.positions, self._points.normals))
