@@ -156,7 +156,8 @@ def _bake(arguments) -> None:
     transfer = integrator.prepare_scene(scene, _progress(arguments, "bake"))
     seconds = time.perf_counter() - start
     if transfer is None:
-        raise ValueError(message("bake", "--transfer", "name a transfer that is baked", arguments.transfer, "Choose 'shadowed'."))
+        hint = "Choose 'shadowed' or 'exact'."
+        raise ValueError(message("bake", "--transfer", "name a transfer that is baked", arguments.transfer, hint))
     transfer.save(output)
     groups, points, _ = transfer.coeffs.shape
     _say(arguments, f"{output}: {points} points, {groups} light groups, order {transfer.order}, {transfer.samples} rays per point; "

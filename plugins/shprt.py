@@ -120,7 +120,8 @@ limit and, for ``vertex``, its interpolation.
 ``localised`` it is fitted there by least squares, for each light group in a cone about its lights, and all rays go to the cone. Points that
 see all of their lights, or nothing of them, have no error but at the lights' horizon. Shadows gain most: order 4 is more accurate than
 order 8 was (validation/soft_shadows.py). The cone holds the lights grown by ``light_margin`` and by a cell of the bake; the wider it is,
-the less is gained, and lights that are all around, as seen from a point, are projected after all. A fit is of use at its own order only.
+the less is gained (nothing, at 30 degrees), and lights that are all around, as seen from a point, are projected after all. A fit is of use
+at its own order only.
 
 With ``exact`` a point that sees the part v of its lights gets v times Lambert's formula, and only the difference of its shadow from that by
 spherical harmonics. It takes a loop over all faces of all lights more, grid or no grid.
@@ -237,7 +238,8 @@ def build():
             if self._transfer is not None:
                 self._check_file(self._transfer)
             self._state = self._blocked = None
-            self._nodes = node_tables(mi.Float, self.order, default_error(mi.Float(0)))     # held for dr.freeze to see
+            orders = (self.order, self._settings.gloss_light_order)
+            self._nodes = [node_tables(mi.Float, n, default_error(mi.Float(0))) for n in orders]    # held for dr.freeze to see
 
         def _check_file(self, baked) -> None:
             """Raise ValueError unless a bake from a file is what the parameters ask for."""

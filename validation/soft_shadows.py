@@ -26,7 +26,6 @@ import drjit as dr
 import matplotlib
 import mitsuba as mi
 import numpy as np
-from PIL import Image
 
 import mi_shlight
 from mi_shlight import project_polygon
@@ -314,7 +313,6 @@ def plot_panel(shown: dict, path: pathlib.Path) -> None:
         axis.set(xticks=[], yticks=[])
     figure.savefig(path, dpi=75)
     plt.close(figure)
-    Image.open(path).quantize(256).save(path, optimize=True)
 
 
 def table(rows: list) -> str:

@@ -53,9 +53,10 @@ class Lighting:
 
     def transferred(self, points: Points, transfer_of, exact: bool = False):
         """The same by lights that have an extent, for any transfer; `exact` as in :py:meth:`NearLights.shadowed`."""
-        settings = self._settings
+        settings, lookup = self._settings, self._state.lookup
+        fitted = lookup.localised if lookup else self._state.fit is not None
         factors = window_factors(settings.window, settings.order) if settings.window != "none" else None
-        total = self.near.shadowed(points, _windowed(transfer_of, None if settings.localised else factors), exact)
+        total = self.near.shadowed(points, _windowed(transfer_of, None if fitted else factors), exact)
         if not self.distant.projected:
             return total
         coeffs, _ = _windowed(transfer_of, factors)(mi.UInt32(self._state.group_count), None)

@@ -11,6 +11,7 @@ from ..errors import check_choice, check_integer, check_number, check_parameters
 from ..grid.cells import INTERPOLATIONS, MAX_RESOLUTION
 from ..light.project import METHODS
 from ..sh.basis import check_order
+from ..sh.lobes import MAX_ORDER
 from ..sh.windows import KINDS as WINDOWS
 from ..transfer.bounce import MAX_BOUNCES
 
@@ -120,6 +121,9 @@ def read_settings(props) -> Settings:
                                  "Localised transfer is of use at its own point only. Or choose 'gather'."))
     for name in ("visibility_order", "bsdf_order"):
         value[name] = check_order("shprt", value[name], name)
+    if parts.glossy and value["bsdf_order"] + value["visibility_order"] > MAX_ORDER:
+        raise ValueError(message("shprt", "bsdf_order", f"be at most {MAX_ORDER} together with visibility_order",
+                                 f"{value['bsdf_order']} and {value['visibility_order']}", "8 and 4 are the default."))
     if parts.glossy and mi.is_spectral:
         raise ValueError(message("shprt", "transfer", "do without glossy in spectral variants", value["transfer"],
                                  "BSDFs are tabulated for a few channels. Use an rgb or mono variant."))

@@ -69,7 +69,8 @@ def bake_transfer(scene, order: int = 8, transfer: str = "shadowed", samples: in
         raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene,
                                 "Load it with mi.load_file(path, optimize=False)."))
     order = check_order(name, order)
-    check_choice(name, "transfer", transfer, KINDS, "Unshadowed transfer is analytic: use it directly in 'shprt'.")
+    hint = "Unshadowed transfer is analytic; interreflected and glossy are additions that 'shprt' traces itself."
+    check_choice(name, "transfer", transfer, KINDS, hint)
     samples = check_integer(name, "samples", samples, 1, 65536, "It is the number of rays per baked point.")
     max_edge = check_number(name, "max_edge", max_edge, 0, hint="It is a length in scene units; 0 chooses automatically.")
     light_margin = check_number(name, "light_margin", light_margin, 0, hint="It is a length in scene units.")

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -302,11 +304,12 @@ def solve_bounces(gather: Gather, direct, reflectance, channels: int, bounces: i
     bounces : int
         Largest number N of bounces, 1 or more.
     tolerance : float
-        Stop as soon as the bounces left out, taken for a geometric series, add up to less than this part of all. 0: never.
+        Stop as soon as the bounces left out, taken for a geometric series by the last two, add up to less than this part of all bounces.
+        0: never.
     """
     size = lambda values: float(dr.sum(abs(dr.detach(values)))[0])
     term, total, count = direct, mi.Float(0), 0
-    before = everything = size(direct) if tolerance > 0 else 0
+    before, everything = math.inf, 0.0                # direct light tells nothing of the series: most of it may leave an open scene
     while count < bounces:
         term = gather.apply(reflectance * term, channels)
         total, count = total + term, count + 1
@@ -314,7 +317,7 @@ def solve_bounces(gather: Gather, direct, reflectance, channels: int, bounces: i
         if tolerance > 0:
             now = size(term)
             everything += now
-            if now * now <= tolerance * everything * (before - now):          # now * q / (1 - q) with q = now / before
+            if now == 0 or count > 1 and now * now <= tolerance * everything * (before - now):    # now q / (1 - q), q = now / before
                 return Bounced(total, term, count, True)
             before = now
     return Bounced(total, term, count, tolerance == 0)

@@ -10,9 +10,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import message
+from ..errors import check_choice, check_integer, check_number, message
 from ..files import check_output, replacing
 from ..scene import aligned, keep_quiet, occluder_hash, receivers, shape_index
+from ..sh.basis import check_order
+from .localised import KINDS
+from .visibility import light_groups
 
 FORMAT = "mi_shlight transfer"
 FORMAT_VERSION = 2
@@ -172,6 +175,7 @@ def load_transfer(path) -> Transfer:
                       for i, block in enumerate(header["meshes"])]
             outlines = [data[f"outline_{i}"] for i in range(header["lights"])]
             scalars = {name: header[name] for name in SCALARS}
+            _check_scalars(scalars)
             result = Transfer(**scalars, coeffs=data["coeffs"], visibility=data["visibility"], variance=data["variance"],
                               groups=data["groups"], outlines=outlines, meshes=meshes)
         shape = (len(result.groups) - 1 + result.distant, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
@@ -179,6 +183,10 @@ def load_transfer(path) -> Transfer:
             raise ValueError(f"coefficients of shape {result.coeffs.shape} where {shape} is due")
         if result.visibility.shape != shape[:2] or result.variance.shape != shape[:2]:
             raise ValueError(f"visibility of shape {result.visibility.shape} where {shape[:2]} is due")
+        if not all(np.isfinite(values).all() for values in (result.coeffs, result.visibility, result.variance)):
+            raise ValueError("coefficients that are no numbers")
+        if not np.array_equal(result.groups, light_groups(len(outlines))):
+            raise ValueError(f"groups {result.groups.tolist()} of {len(outlines)} lights")
         for block in meshes:
             points = (block.subdivision.astype(np.int64) + 1) * (block.subdivision.astype(np.int64) + 2) // 2
             if (not np.array_equal(block.first, np.cumsum(points) - points) or len(block.rows) != points.sum()
@@ -190,6 +198,18 @@ def load_transfer(path) -> Transfer:
                                  f"Reason: {str(error).rstrip('.')}.")) from None
 
 
+def _check_scalars(scalars: dict) -> None:
+    """Raise ValueError or TypeError unless the header's entries are what a bake writes."""
+    check_order("load_transfer", scalars["order"])
+    check_choice("load_transfer", "transfer", scalars["transfer"], KINDS)
+    for name in ("localised", "distant"):
+        if not isinstance(scalars[name], bool):
+            raise TypeError(f"{name} is {scalars[name]!r}")
+    check_integer("load_transfer", "samples", scalars["samples"], 1, 2**31)
+    for name in ("light_margin", "max_edge", "conflict"):
+        check_number("load_transfer", name, scalars[name], 0)
+
+
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
@@ -199,7 +219,7 @@ class TransferLookup:
         blocks = {block.content: block for block in transfer.meshes}
         shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in lit if r.baked]
         size = 1 + max((shape_index(r.shape) for r in lit), default=0)
-        self.size, self.kind = size, transfer.transfer
+        self.size, self.kind, self.localised = size, transfer.transfer, transfer.localised
         baked, first_face, back = np.zeros(size, bool), np.zeros(size, np.uint32), np.zeros(size, np.uint32)
         subdivision, first, rows = [], [], []
         faces = points = 0

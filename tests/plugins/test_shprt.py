@@ -424,6 +424,7 @@ def test_no_light_at_render():
     ({"bounce_tolerance": 0.0}, "'bounce_tolerance' must"), ({"bounce_lighting": "x"}, "'bounce_lighting' must be one of"),
     ({"visibility_order": -1}, "'visibility_order' must"), ({"bsdf_order": 80}, "'bsdf_order' must"),
     ({"localised": 1}, "'localised' must"),
+    ({"transfer": "glossy", "bsdf_order": 62}, "'bsdf_order' must be at most 64 together with visibility_order.*62 and 4"),
     ({"transfer_domain": "texel"}, "'transfer_domain' must be one of 'vertex', 'pixel', got 'texel'"),
     ({"transfer_samples": -5}, "'transfer_samples' must be.*got -5"), ({"transfer_samples": 70_000}, "'transfer_samples' must"),
     ({"transfer_samples": 1.5}, "'transfer_samples' must be an integer.*1.5"), ({"transfer_file": 3}, "'transfer_file' must be the path"),

@@ -138,6 +138,14 @@ def test_derivatives(name):
             assert derivative(lambda t: value(t, 7), mi.Float, mode) == pytest.approx(difference, rel=1e-3)
 
 
+def test_open_scenes_are_not_given_up_early():
+    """Most light leaves the scene at once, but what a block and a floor send each other goes on: all bounces are as many as 16."""
+    what = scene(camera((0, 1.5, 2)), floor=floor(bsdf=GREY), block=block([-0.5, 0, -0.5], [0.5, 1, 0.5], GREY),
+                 sky={"type": "constant", "radiance": 0.3})
+    some = [render(what, bounces=n, **{**COARSE, "transfer": "interreflected"}) for n in (1, 16, 0)]
+    assert mean_error(some[2], some[1]) < 1e-3 < 1e-2 < mean_error(some[0], some[1])
+
+
 @pytest.mark.parametrize("parameters", [COARSE, BY_TRANSFER], ids=["gather", "transfer"])
 def test_frozen_function(parameters):
     """`dr.freeze` gives what the plain function gives while a light and a colour change."""

@@ -68,6 +68,7 @@ MOVES = {
     "texture": Move("panel.emitter.radiance.data", lambda original, t: original + mi.TensorXf(along(48, 6), shape=(4, 4, 3)) * t, 0.1),
     "floor turned": Move("floor.to_world", turn((0.3, 0, 1), (1, 0.5, 0), 20), 2e-2),
 }
+PLASTIC = {"type": "roughplastic", "alpha": 0.4}
 LIGHTS = ["corners", "other corners", "lamp", "radiance", "radiance of the lamp", "reflectance"]
 
 
@@ -300,7 +301,9 @@ def test_a_new_bake_belongs_to_the_picture(monkeypatch):
 
 @pytest.mark.parametrize("parameters, parts", [
     ({**UNSHADOWED, "order": 3, "method": "edge"}, OCCLUDED), (VERTEX, OCCLUDED), (PIXEL, OCCLUDED),
-    ({**UNSHADOWED, "order": 1, "method": "edge"}, MESHES)], ids=["unshadowed", "vertex", "pixel", "meshes"])
+    ({**UNSHADOWED, "order": 1, "method": "edge"}, MESHES),
+    ({**VERTEX, "transfer": "exact+glossy", "bsdf_order": 2, "visibility_order": 1}, {"floor": lambda: floor(bsdf=PLASTIC)}),
+], ids=["unshadowed", "vertex", "pixel", "meshes", "glossy"])
 def test_frozen_function(parameters, parts):
     """`dr.freeze` around render and backward gives what the plain function gives while a light moves. Only a bake must be asked for."""
     what = scene(floor=floor(), light=light(outline=PENTAGON), lamp=lamp(), **{name: make() for name, make in parts.items()})
