@@ -56,7 +56,7 @@ def test_xml_examples_load(beside_scenes):
     mi.set_variant("llvm_ad_rgb")
     scenes = [mi.load_string(f'<scene version="3.0.0">{xml}</scene>', optimize=False)
               for xml in re.findall(r"```xml\n(.*?)```", README, re.DOTALL)]
-    assert [scene.integrator().grid_resolution for scene in scenes] == [0, "auto"] and len(scenes[0].emitters()) == 1
+    assert [scene.integrator().grid_resolution for scene in scenes] == [0, 0, "auto"] and len(scenes[0].emitters()) == 1
 
 
 def test_make_targets_and_links_exist():
