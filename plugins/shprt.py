@@ -238,7 +238,7 @@ def build():
             if self._transfer is not None:
                 self._check_file(self._transfer)
             self._state = self._blocked = None
-            orders = (self.order, self._settings.gloss_light_order)
+            orders = [self.order] + [self._settings.gloss_light_order] * self._settings.parts.glossy
             self._nodes = [node_tables(mi.Float, n, default_error(mi.Float(0))) for n in orders]    # held for dr.freeze to see
 
         def _check_file(self, baked) -> None:

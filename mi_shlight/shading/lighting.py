@@ -19,12 +19,10 @@ class Lighting:
     ----------
     state : SceneState
     settings : Settings
-    nodes, gloss_nodes : NodeTable or None
-        The light grids for this picture, if there are any; that for gloss has degrees of its own.
     table : LightTable or None
         Attached; None without polygonal lights.
-    wavelengths
-        Of the rays.
+    nodes, gloss_nodes : NodeTable or None
+        The light grids for this picture, if there are any; that for gloss has degrees of its own.
     """
 
     def __init__(self, state, settings, table, nodes, gloss_nodes):
