@@ -293,7 +293,7 @@ def build():
             if parts.direct == "unshadowed" or self.transfer_domain == "pixel":
                 return None
             state = self._state
-            if changed or state.lookup is None:
+            if changed or state.lookup is None or state.glossy and state.blocked_lookup is None:
                 lookup, blocked_lookup, state.lookup = old and old.lookup, old and old.blocked_lookup, None
                 transfer = self._current_transfer(scene, self._transfer, parts.direct, same_geometry, progress)
                 keep = same_geometry and transfer is self._transfer
@@ -344,9 +344,11 @@ def build():
                 pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
                 si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
                 valid = active & si.is_valid()
-                table = self._state.table.attached() if self._state.table else None
-                nodes = [self._grid_nodes(grid, table, dr.width(ray)) for grid in (self._state.grid, self._state.gloss_grid)]
-                lighting = Lighting(self._state, self._settings, table, *nodes)
+                state = self._state
+                table = state.table.attached() if state.table else None
+                grids = state.grid, state.gloss_grid if state.glossy else None
+                nodes = [self._grid_nodes(grid, table, dr.width(ray)) for grid in grids]
+                lighting = Lighting(state, self._settings, table, *nodes)
                 reflected = self._reflected(lighting, pi, si, sampler, valid)
                 emitted = si.emitter(scene).eval(si, active)
                 aovs = []

@@ -53,11 +53,11 @@ class SceneState:
             self.moving = MovingLights(self.lights)
             if settings.localised and not (self.all_baked and settings.transfer_domain == "vertex"):
                 self.fit = cone_fit(settings.order, settings.pixel_samples)
-                self.blocked_fit = cone_fit(settings.visibility_order, settings.pixel_samples) if self.glossy else None
+                self.blocked_fit = cone_fit(settings.visibility_order, settings.pixel_samples) if self.gloss else None
             if settings.grid_resolution:
                 grid = lambda order: SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution,
                                                settings.grid_interpolation, settings.grid_error, order, settings.method)
-                self.grid, self.gloss_grid = grid(settings.order), grid(settings.gloss_light_order) if self.glossy else None
+                self.grid, self.gloss_grid = grid(settings.order), grid(settings.gloss_light_order) if self.gloss else None
 
     @property
     def glossy(self) -> bool:

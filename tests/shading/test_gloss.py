@@ -10,7 +10,7 @@ mi = pytest.importorskip("mitsuba")
 import drjit as dr  # noqa: E402
 
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1] / "plugins"))
-from shprt_scenes import camera, floor, integrator, light, mean_error, render, scene  # noqa: E402
+from shprt_scenes import block, camera, floor, integrator, light, mean_error, render, scene  # noqa: E402
 
 from mi_shlight.sh import product_matrix  # noqa: E402
 from mi_shlight.shading.glossy import arriving  # noqa: E402
@@ -109,6 +109,24 @@ def test_picture_follows_the_material():
     after = np.array(mi.render(what, integrator=plugin, spp=4))
     assert mean_error(before, after) > 0.05
     assert mean_error(after, render(scene(VIEW, floor=floor(bsdf=ROUGH), lamp=lamp()), **settings)) < 1e-6
+
+
+@pytest.mark.filterwarnings("ignore:shprt. BSDF")
+def test_gloss_that_appears_later_has_its_shadows():
+    """An anisotropic surface, whose gloss is left out, becomes an isotropic one."""
+    def stage(alpha):
+        bsdf = {"type": "roughconductor", "alpha_u": alpha, "alpha_v": 0.5}
+        return scene(VIEW, floor=floor(bsdf=bsdf), block=block([-0.3, 0.3, -0.3], [0.3, 0.5, 0.3]), lamp=lamp())
+
+    settings = {"transfer": "glossy", "order": 2, "bsdf_order": 2, "visibility_order": 1, "max_edge": 1.0, "transfer_samples": 32}
+    what, plugin = stage(0.1), integrator(**settings)
+    parameters = mi.traverse(what)
+    before = np.array(mi.render(what, integrator=plugin, spp=4))
+    parameters["floor.bsdf.alpha_u.value"] = 0.5
+    parameters.update()
+    after = np.array(mi.render(what, integrator=plugin, spp=4))
+    assert mean_error(before, after) > 0.5
+    np.testing.assert_allclose(after, render(stage(0.5), **settings), rtol=1e-5)
 
 
 @pytest.mark.parametrize("bsdf, words", [
