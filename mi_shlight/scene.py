@@ -207,12 +207,6 @@ def polygon_lights(scene, complain=warn) -> list:
     return lights
 
 
-def refuse_darkness() -> None:
-    """Raise ValueError: the scene has no light."""
-    raise ValueError("shprt: 'scene' must have a light, got none. Put <emitter type=\"shlight\"> or <emitter type=\"area\"> inside a "
-                     "rectangle or a mesh, or add an emitter such as 'constant', 'envmap', 'directional', 'point' or 'spot'.")
-
-
 def receivers(scene, complain=warn, glossy: bool = False) -> list:
     """All shapes of the scene that can be lit; `complain` is called with a sentence about each BSDF that is not plainly
     diffuse, or, if gloss is rendered (`glossy`), not plainly a surface that reflects.

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..lights import SPECTRAL_NODES, SPECTRAL_STEP
 from ..scene import aligned, warn
 from ..sh.functions import map_weights
 from ..sh.rotation import euler_angles, multiples, quarter_turn
@@ -17,9 +18,6 @@ SKY_ROWS = 180
 
 LANES = 8192
 """Pixels of a map are summed up by about so many threads side by side."""
-
-SPECTRAL_STEP, SPECTRAL_NODES = 5.0, 96
-"""Distance in nm and number of the wavelengths, from 360 nm, at which a map's coefficients are held: as Mitsuba's own tables."""
 
 
 class DistantLights:

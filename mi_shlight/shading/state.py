@@ -7,7 +7,7 @@ import numpy as np
 
 from ..lights import LightTable
 from ..moving import MovingLights
-from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, refuse_darkness, shape_index, warn
+from ..scene import Fingerprint, aligned, polygon_lights, receivers, refuse, shape_index, warn
 from ..scene_grid import SceneGrid
 from ..transfer.localised import cone_fit
 from ..transfer.visibility import BakeLights, Occluders, light_groups
@@ -28,7 +28,8 @@ class SceneState:
         self.lights = polygon_lights(scene, complain)
         self.distant = DistantLights(scene, max(settings.order, settings.gloss_light_order if settings.parts.glossy else 0), complain)
         if not (self.lights or self.distant.projected or self.distant.delta_count):
-            refuse_darkness()
+            raise ValueError("shprt: 'scene' must have a light, got none. Put <emitter type=\"shlight\"> or <emitter type=\"area\"> inside "
+                             "a rectangle or a mesh, or add an emitter such as 'constant', 'envmap', 'directional', 'point' or 'spot'.")
         self.receivers = receivers(scene, complain, settings.parts.glossy)
         size = 1 + max((shape_index(r.shape) for r in self.receivers), default=0)
         table = np.zeros((2, size), int)
