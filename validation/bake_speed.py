@@ -1,6 +1,6 @@
 """Claim: in a bake the spherical harmonics cost a small part of the ray tracing.
 
-    python -m validation.bake_speed [--side N] [--rounds N] [--out DIR]
+    python -m validation.bake_speed [--quick] [--out DIR] [--side N] [--rounds N]
 
 writes ``bake_speed.json`` and prints a table. A hilly floor of 200,000 vertices with columns on it under one light, 512 rays per vertex,
 order 8. In one process, round after round, for 2048 neighbouring vertices at each of three places of the floor:
@@ -17,25 +17,19 @@ Then the whole bake by ``bake_transfer``. Times per ray, medians of the rounds; 
 """
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import pathlib
-import platform
 import time
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-import mi_shlight
 from mi_shlight import bake_transfer
 from mi_shlight.scene import aligned, mesh_arrays, polygon_lights
 from mi_shlight.transfer.localised import cone_fit, sample_transfer
 from mi_shlight.transfer.mesh import refine
 from mi_shlight.transfer.visibility import BakeLights, LightSight, Occluders
+from validation import experiment
 
-RESULTS = pathlib.Path(__file__).parent / "results"
 ORDER, RAYS = 8, 512
 ROWS = 2048
 """Vertices that are traced together: their rays, for ``ray_test``, are 29 MB, which costs little to read again."""
@@ -155,13 +149,12 @@ def measure(scene, localised: bool, rounds: int) -> dict:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--side", type=int, default=448, help="vertices along each side of the floor (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(
+        __doc__, arguments, side={"type": int, "default": 448, "help": "vertices along each side of the floor (default: %(default)s)"},
+        rounds={"type": int, "default": 5, "help": "default: %(default)s"})
+    if options.quick:
+        options.side, options.rounds = 64, 1
     mi.set_variant("llvm_ad_rgb")
-    options.out.mkdir(parents=True, exist_ok=True)
     scene, rows = build(options.side), []
     for localised in (False, True):
         row = measure(scene, localised, options.rounds)
@@ -175,9 +168,11 @@ def main(arguments=None) -> None:
         for key, value in row.items():
             print(f"{key:32}{value:>12.3g}" if isinstance(value, float) else f"{key:32}{value!s:>12}", flush=True)
         print()
-    machine = {"machine": platform.processor() or platform.machine(), "cores": os.cpu_count(), "threads": dr.thread_count()}
-    report = {"order": ORDER, "rays per point": RAYS, "rows": rows, **machine, "version": mi_shlight.__version__}
-    (options.out / "bake_speed.json").write_text(json.dumps(report, indent=1) + "\n")
+    lines = [experiment.verdict(f"{kind}: harmonics take at most a quarter of the time of a ray test", row["harmonics / ray_test"], 0.25)
+             for kind, row in zip(("projected", "localised"), rows)]
+    experiment.print_targets(lines)
+    report = {"targets": lines, "order": ORDER, "rays per point": RAYS, "rows": rows}
+    experiment.write(options.out / "bake_speed.json", report, options.quick)
 
 
 if __name__ == "__main__":

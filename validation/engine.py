@@ -2,9 +2,8 @@
 
     python -m validation.engine [--quick] [--out DIR] [--threads N]
 
-prints one table of ratios and the list of targets, and writes ``engine.json`` and ``engine.png``. ``--quick`` tries everything on few
-sizes, in under two minutes with a warm kernel cache. Run it on an idle machine. Exit status 1 if a measurement failed; a missed target
-is a result.
+prints one table of ratios and the list of targets, and writes ``engine.json`` and ``engine.png``. Run it on an idle machine. Exit status 1
+if a measurement failed; a missed target is a result.
 
 **Time**: execution time of the kernels as Dr.Jit records it, without tracing and compilation; float32, one thread, 2^12 to 2^18 points, as
 many as fit the time budget of one run. All methods of one size take turns, and with them the unit: one evaluation of ``dr.sh_eval`` at
@@ -23,14 +22,10 @@ a grid of 1/512, so that corner minus point is exact in float32 and only the met
 from __future__ import annotations
 
 import argparse
-import datetime
 import functools
-import importlib.metadata
 import json
 import math
 import os
-import pathlib
-import platform
 import site
 import subprocess
 import sys
@@ -41,18 +36,15 @@ import drjit as dr
 import numpy as np
 from drjit.llvm.ad import Array3f, Float, UInt32
 
-import mi_shlight
 from mi_shlight.light.polygon import EdgeBuffer, VertexList, direction, interior_direction
 from mi_shlight.light.project import METHODS, default_error, light_shader, project_light
 from mi_shlight.light.quadrature import demand
-from mi_shlight.llvm import llvm_info
 from tests import reference
+from validation import experiment
 from validation.baselines import monomial_shader, project_monomial, project_monte_carlo
 from validation.engine_report import (ACCURACY, GROUPS, LIGHT_COUNT, MONOMIAL, QUAD, QUICK, STANDARD_ORDER, Plan, Record, methods_of,
-                                      plot, print_distances, print_table, print_verdicts, significant, targets)
-
-ROOT = pathlib.Path(__file__).parents[1]
-RESULTS = ROOT / "validation" / "results"
+                                      plot, print_distances, print_table, print_verdicts, targets)
+from validation.experiment import ROOT, significant
 
 UNIT = "sh_eval"
 UNIT_LOOP = 64
@@ -60,8 +52,6 @@ BASE_POINTS, ERROR_POINTS, MANY_POINTS_MP = 4096, 16, 8
 DISTANCE = 2.0
 """Of the points from the light's centre in units of its diameter, where the distance is not what is varied."""
 GRID = 512
-MONTE_CARLO_SIDES = (1, 2, 4, 8, 16, 32, 64, 128, 270)
-"""The last gives the 146k samples of W18's comparison."""
 
 
 # What is measured: lights, points, evaluations.
@@ -282,14 +272,14 @@ def measure_distances(record: Record, plan: Plan) -> None:
             record.rows["distances"] += rows
 
 
-def measure_monte_carlo(record: Record) -> None:
+def measure_monte_carlo(record: Record, plan: Plan) -> None:
     """Error of the coefficients of a quadrilateral and time per point against the number of samples; 64 runs at each of 16 points."""
     corners = ellipse(QUAD)
     base = points_around(corners, DISTANCE)[:ERROR_POINTS]
     exact = np.array([reference.coefficients_quadrature(corners, x, STANDARD_ORDER, n=12) for x in base])
     lights, points = vectors(corners), Points(base, 64 * ERROR_POINTS)
     for stratified in (False, True):
-        for side in MONTE_CARLO_SIDES:
+        for side in plan.monte_carlo_sides:
             samples = (QUAD - 2) * side ** 2
             print(f"Monte Carlo: {samples} samples", file=sys.stderr, flush=True)
 
@@ -335,6 +325,10 @@ def first_call(task: dict) -> dict:
     return first_seconds(jobs)
 
 
+FIRST_CALL = {"type": json.loads, "help": argparse.SUPPRESS}
+"""Option of the modules that :py:func:`in_fresh_process` runs."""
+
+
 def in_fresh_process(threads: int, module: str = "validation.engine", **task) -> dict:
     """``first_call(task)`` of a module in a new process with a new home, where Dr.Jit keeps its kernels."""
     with tempfile.TemporaryDirectory() as home:
@@ -366,44 +360,26 @@ def measure_first_calls(record: Record, plan: Plan, threads: int) -> None:
                                           "ratio": significant(many / one)})
 
 
-def versions(threads: int) -> dict:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            processor = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        processor = platform.processor() or platform.machine()
-    return {"date": datetime.date.today().isoformat(), "machine": processor, "cores": os.cpu_count(), "threads": threads,
-            "load": [round(value, 2) for value in os.getloadavg()], "python": platform.python_version(),
-            "mi_shlight": mi_shlight.__version__, "drjit": dr.__version__, "mitsuba": importlib.metadata.version("mitsuba"),
-            "llvm": ".".join(map(str, llvm_info()["version"]))}
-
-
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few sizes, under two minutes; the figures mean little")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder of the results (default: validation/results)")
-    parser.add_argument("--threads", type=int, default=1, help="threads of Dr.Jit (default 1)")
-    parser.add_argument("--first-call", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(__doc__, arguments, threads={"type": int, "default": 1, "help": "threads of Dr.Jit (default: 1)"},
+                                 first_call=FIRST_CALL)
     dr.set_thread_count(options.threads)
     if options.first_call:
         print(json.dumps(first_call(options.first_call)))
         return 0
 
     plan, record = QUICK if options.quick else Plan(), Record()
-    report = {"versions": versions(options.threads), "quick": options.quick}
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         measure_table(record, plan)
         measure_distances(record, plan)
-        measure_monte_carlo(record)
+        measure_monte_carlo(record, plan)
     measure_first_calls(record, plan, options.threads)
     lines = targets(record, plan)
     print_table(record, plan)
     print_distances(record, plan)
     print_verdicts(record, lines)
-    options.out.mkdir(parents=True, exist_ok=True)
-    report.update(targets=lines, failures=record.failures, **record.rows)
-    (options.out / "engine.json").write_text(json.dumps(report, indent=1) + "\n")
+    report = {"targets": lines, "failures": record.failures, **record.rows}
+    experiment.write(options.out / "engine.json", report, options.quick)
     plot(record, plan, options.out / "engine.png")
     return int(bool(record.failures))
 

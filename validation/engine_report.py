@@ -10,6 +10,7 @@ import numpy as np
 
 from mi_shlight.light.project import METHODS
 from validation.baselines import MAX_MONOMIAL_ORDER
+from validation.experiment import print_targets, verdict
 
 GROUPS = ("shading", "projection")
 MONOMIAL = "monomial"
@@ -21,7 +22,6 @@ LARGEST_W18_ORDER = 14
 LIGHT_COUNT = 100
 FIRST_CALL_LIMITS = {8: 1.5, 14: 4}
 """Seconds by order."""
-VERDICT = {True: "met", False: "MISSED", None: "-"}
 
 
 class Plan(NamedTuple):
@@ -35,13 +35,14 @@ class Plan(NamedTuple):
     first_call_repeats: int = 3
     lights_repeats: int = 5
     rounds: int = 7
+    monte_carlo_sides: tuple = (1, 2, 4, 8, 16, 32, 64, 128, 270)
+    """The last gives the 146k samples of W18's comparison."""
     budget: float = 0.08
     """Seconds of one timed run."""
 
 
-
-QUICK = Plan(orders=(2, 8), edges=(3, 4, 8), distances=(0.1, 1, 10, 100, 1e4), sweep_orders=(8,), first_call_orders=(8,),
-             first_call_repeats=1, lights_repeats=1, rounds=3, budget=0.03)
+QUICK = Plan(orders=(2, 8), edges=(3, 4), distances=(1, 100), sweep_orders=(2,), first_call_orders=(2,), first_call_repeats=1,
+             lights_repeats=0, rounds=2, monte_carlo_sides=(1, 4), budget=0.01)
 
 
 class Record:
@@ -100,13 +101,6 @@ def break_even(record: Record, order: int) -> float:
         return math.nan
     units, points = columns(measured)
     return float(np.exp(np.interp(np.log(np.median(edge)), np.log(units), np.log(points), math.nan, math.nan))) / QUAD
-
-
-def verdict(target: str, value, limit: float, at_most: bool = True, text: str = "{:.3g}") -> dict:
-    """One line of a list of targets; `value` is None or NaN if it was not measured."""
-    known = value is not None and not math.isnan(value)
-    return {"target": target, "limit": limit, "measured": text.format(value) if known else "not measured",
-            "met": bool(value <= limit if at_most else value >= limit) if known else None}
 
 
 def targets(record: Record, plan: Plan) -> list:
@@ -177,9 +171,7 @@ def print_distances(record: Record, plan: Plan) -> None:
 
 
 def print_verdicts(record: Record, lines: list) -> None:
-    print("\nTargets")
-    for line in lines:
-        print(f"{VERDICT[line['met']]:6s} {line['target']}: {line['measured']}")
+    print_targets(lines)
     print("".join(f"\nFAILED {failure}" for failure in record.failures))
 
 
@@ -232,7 +224,3 @@ def plot(record: Record, plan: Plan, path: pathlib.Path) -> None:
 
 def columns(rows: list) -> tuple:
     return tuple(zip(*rows)) or ((), ())
-
-
-def significant(value) -> float:
-    return float(f"{value:.4g}")

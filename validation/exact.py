@@ -7,13 +7,12 @@ same for ``shadowed`` transfer, localised and projected over the sphere.
 **pictures**: the ball, the plant and the Cornell box of :py:mod:`validation.soft_shadows`, ``exact`` beside ``shadowed``, both localised
 and projected, against ``path``: mean errors of 8 x 8 pixels.
 
-    python -m validation.exact
+    python -m validation.exact [--quick] [--out DIR]
+
+writes ``exact.json`` and prints its rows.
 """
 from __future__ import annotations
 
-import argparse
-import json
-import pathlib
 import sys
 
 import mitsuba as mi
@@ -21,11 +20,9 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-import mi_shlight  # noqa: E402
+from validation import experiment  # noqa: E402
+from validation.soft_shadows import PICTURES, errors, from_file, grey, render  # noqa: E402
 
-from .soft_shadows import PICTURES, errors, from_file, grey, render  # noqa: E402
-
-RESULTS = pathlib.Path(__file__).parent / "results"
 ORDERS = (2, 4, 8)
 KINDS = {"projected": {"transfer": "shadowed", "localised": False}, "localised": {"transfer": "shadowed"},
          "exact, projected": {"transfer": "exact", "localised": False}, "exact": {"transfer": "exact"}}
@@ -37,12 +34,12 @@ def in_standard_errors(images: list, truth: np.ndarray) -> float:
     return float(np.sqrt((((truth - mean) / sigma) ** 2).mean()))
 
 
-def measure_floor(size: int = 24, pictures: int = 32, spp: int = 1024) -> list:
+def measure_floor(size: int = 24, pictures: int = 32, spp: int = 1024, orders=ORDERS) -> list:
     """Rows: order, transfer, root mean square in standard errors of `pictures` ``direct`` ones, and mean relative error."""
     scene = from_file("floor")(size)
     images = [render(scene, {"type": "direct"}, spp, seed) for seed in range(1, pictures + 1)]
     truth, rows = np.mean(images, axis=0), []
-    for order in ORDERS:
+    for order in orders:
         for kind, parameters in KINDS.items():
             image = render(scene, {"type": "shprt", "order": order, **parameters}, 16 * spp)      # places in the pixel are noise, too
             rows.append({"order": order, "transfer": kind, "standard errors": in_standard_errors(images, image),
@@ -50,16 +47,17 @@ def measure_floor(size: int = 24, pictures: int = 32, spp: int = 1024) -> list:
     return rows
 
 
-def measure_pictures(size: int = 128, reference_spp: int = 8192) -> list:
+def measure_pictures(size: int = 128, reference_spp: int = 8192, orders=ORDERS, names=tuple(PICTURES)) -> list:
     """Rows of the errors of :py:func:`validation.soft_shadows.errors` for each scene, order and kind of transfer."""
     rows = []
-    for name, picture in PICTURES.items():
+    for name in names:
+        picture = PICTURES[name]
         scene = picture.load(size)
         truth = np.mean([render(scene, {"type": "path", "max_depth": 2}, reference_spp // 4, seed) for seed in range(4)], axis=0)
         unshadowed = render(scene, {"type": "shprt", "order": 14, "transfer": "unshadowed"}, 64)
         shadow = grey(truth) < 0.97 * grey(unshadowed)
         lamp = grey(render(scene, {"type": "path", "max_depth": 1}, 64)) > 0
-        for order in ORDERS:
+        for order in orders:
             for kind, parameters in KINDS.items():
                 image = render(scene, {"type": "shprt", "order": order, "max_edge": picture.max_edge, **parameters}, 256)
                 rows.append({"scene": name, "order": order, "transfer": kind, **errors(image, truth, shadow, lamp)})
@@ -67,14 +65,27 @@ def measure_pictures(size: int = 128, reference_spp: int = 8192) -> list:
     return rows
 
 
+def targets(report: dict) -> list:
+    """Verdicts on ``exact`` transfer: noise alone where nothing is in the way, and shadows no worse."""
+    lines = [experiment.verdict(f"floor, order {row['order']}: off converged `direct` by at most 1.15 standard errors",
+                                row["standard errors"], 1.15) for row in report["floor"] if row["transfer"] == "exact"]
+    rows = {(row["scene"], row["order"], row["transfer"]): row["blocks"] for row in report["pictures"]}
+    return lines + [experiment.verdict(f"{scene}, order {order}: error at most 1.05 times that of localised shadows",
+                                       error / rows[scene, order, "localised"], 1.05)
+                    for (scene, order, kind), error in rows.items() if kind == "exact"]
+
+
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=pathlib.Path, default=RESULTS / "exact.json")
-    options = parser.parse_args(arguments)
-    report = {"version": mi_shlight.__version__, "floor": measure_floor(), "pictures": measure_pictures()}
-    options.output.write_text(json.dumps(report, indent=1) + "\n")
+    options = experiment.options(__doc__, arguments)
+    if options.quick:
+        report = {"floor": measure_floor(8, 4, 16, ORDERS[:1]), "pictures": measure_pictures(32, 64, ORDERS[:1], ("ball",))}
+    else:
+        report = {"floor": measure_floor(), "pictures": measure_pictures()}
     for row in report["floor"] + report["pictures"]:
         print(" ".join(f"{value:.4g}" if isinstance(value, float) else str(value) for value in row.values()))
+    report = {"targets": targets(report), **report}
+    experiment.print_targets(report["targets"])
+    experiment.write(options.out / "exact.json", report, options.quick)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Claim: gloss by spherical harmonics, and down to which roughness which order is enough ([W18] Fig. 10, [W20] section 7.2).
 
-    python -m validation.glossy [--size N] [--orders N ...] [--materials NAME ...] [--reference-spp N] [--out DIR]
+    python -m validation.glossy [--quick] [--out DIR] [--size N] [--orders N ...] [--materials NAME ...] [--reference-spp N]
 
 writes ``glossy.json`` and ``glossy.png``. A floor and the knot of ``scenes/sculpture.xml``, of the same material, under a light that is
 red at one end and blue at the other, and a small white one. Each picture of ``shprt`` with ``glossy`` is compared with Mitsuba's ``path``
@@ -16,7 +16,6 @@ Materials: Phong lobes (a BSDF of this file, of exponents n and 2 / alpha^2 - 2 
 """
 from __future__ import annotations
 
-import argparse
 import json
 import pathlib
 
@@ -30,13 +29,15 @@ import drjit as dr  # noqa: E402
 
 from mi_shlight.compare import shaded_pixels  # noqa: E402
 from mi_shlight.panel import srgb  # noqa: E402
-from validation.engine import RESULTS, versions  # noqa: E402
+from validation import experiment  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 KNOT = pathlib.Path(__file__).parents[1] / "scenes" / "meshes" / "sculpture_knot.ply"
 ORDERS = (4, 8, 14)
+ENOUGH = {"conductor 0.5": 8, "conductor 0.3": 8, "plastic 0.3": 8, "principled 0.5": 8, "conductor 0.2": 14, "phong 20": 14}
+"""`bsdf_order` that is said to be enough, for an error of a tenth with shadows."""
 SHOWN = ("phong 20", "conductor 0.2", "conductor 0.5", "plastic 0.3")
 
 
@@ -127,7 +128,7 @@ def render(scene: mi.Scene, transfer: str, bsdf_order: int, **settings) -> np.nd
 
 def measure(materials, orders, size: int, spp: int) -> tuple:
     """(record, pictures by material and column)."""
-    record, pictures = {"versions": versions(dr.thread_count()), "size": size, "reference_spp": spp, "errors": {}}, {}
+    record, pictures = {"size": size, "reference_spp": spp, "errors": {}}, {}
     for name in materials:
         row = record["errors"][name] = {"floor": {}, "sculpture": {}}
         bare = make_scene(MATERIALS[name], size, False)
@@ -173,18 +174,24 @@ def draw(pictures: dict, record: dict, path: pathlib.Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, default=64)
-    parser.add_argument("--orders", type=int, nargs="*", default=ORDERS)
-    parser.add_argument("--materials", nargs="*", choices=MATERIALS, default=list(MATERIALS))
-    parser.add_argument("--reference-spp", type=int, default=4096)
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    record, pictures = measure(arguments.materials, arguments.orders, arguments.size, arguments.reference_spp)
-    (arguments.out / "glossy.json").write_text(json.dumps(record, indent=1) + "\n")
-    draw(pictures, record, arguments.out / "glossy.png")
+def targets(record: dict) -> list:
+    """Verdicts on the materials whose order was measured."""
+    found = {name: record["errors"].get(name, {}).get("sculpture", {}).get(str(order)) for name, order in ENOUGH.items()}
+    return [experiment.verdict(f"{name}, with shadows: order {ENOUGH[name]} has an error of at most 10 %", value, 0.1, text="{:.1%}")
+            for name, value in found.items()]
+
+
+def main(arguments=None) -> None:
+    options = experiment.options(
+        __doc__, arguments, size={"type": int, "default": 64}, orders={"type": int, "nargs": "*", "default": ORDERS},
+        materials={"nargs": "*", "choices": MATERIALS, "default": list(MATERIALS)}, reference_spp={"type": int, "default": 4096})
+    if options.quick:
+        options.size, options.orders, options.materials, options.reference_spp = 16, (4,), ["plastic 0.3"], 512
+    record, pictures = measure(options.materials, options.orders, options.size, options.reference_spp)
+    record = {"targets": targets(record), **record}
+    experiment.print_targets(record["targets"])
+    experiment.write(options.out / "glossy.json", record, options.quick)
+    draw(pictures, record, options.out / "glossy.png")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python -m validation.gradient_cost [--quick] [--out DIR]
 
-prints times and the list of targets and writes ``gradient_cost.json`` and ``gradient_cost.png``. ``--quick`` measures one size and few
-rounds. Run it on an idle machine. Exit status 1 if a measurement failed; a missed target is a result.
+prints times and the list of targets and writes ``gradient_cost.json`` and ``gradient_cost.png``. Run it on an idle machine. Exit status 1
+if a measurement failed; a missed target is a result.
 
 **Time** as in :py:mod:`validation.engine`: execution time of all kernels as Dr.Jit records it, float32, one thread, all evaluations of one
 size in turns, ratios within a round, medians over the rounds. A light of diameter 1 seen from twice that distance.
@@ -22,7 +22,6 @@ points, median of the processes.
 """
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import math
@@ -38,9 +37,11 @@ from mi_shlight import (project_polygon, project_polygon_gradient, project_polyg
                         shade_polygon_gradient)
 from mi_shlight.light.polygon import VertexList, interior_direction
 from mi_shlight.light.recurrence import recurrence_shader
-from validation.engine import (DISTANCE, RESULTS, UNIT, Points, dot, ellipse, first_seconds, in_fresh_process, points_around, ratio,
-                               take_turns, transfer_vector, vectors, versions)
-from validation.engine_report import QUAD, STANDARD_ORDER, TRIANGLE, Plan, Record, print_verdicts, significant, verdict
+from validation import experiment
+from validation.engine import (DISTANCE, FIRST_CALL, UNIT, Points, dot, ellipse, first_seconds, in_fresh_process, points_around, ratio,
+                               take_turns, transfer_vector, vectors)
+from validation.engine_report import QUAD, STANDARD_ORDER, TRIANGLE, Plan, Record, print_verdicts
+from validation.experiment import significant, verdict
 
 SHADERS = ("edge", "auto")
 VALUE = {method: f"value, {method}" for method in SHADERS}
@@ -56,8 +57,9 @@ BASES = {f"{name}, {method}": f"{COEFFS}, {method}" for name in PROJECTIONS for 
 FIRST_CALLS = (VALUE["edge"], GRADIENT["edge"], REVERSE, RECURRENCE)
 WIDTHS = (1, 1024)
 STEP = 1e-2
-QUICK = Plan(rounds=3, budget=0.03, first_call_repeats=1)
+QUICK = Plan(rounds=2, budget=0.01, first_call_repeats=1)
 SIZES = ((STANDARD_ORDER, QUAD), (4, TRIANGLE), (14, QUAD))
+QUICK_SIZES = ((2, TRIANGLE),)
 """(order, edges); the targets are set for the first."""
 
 
@@ -227,7 +229,7 @@ def ratios(measured: dict, order: int, edges: int) -> list:
 
 def targets(rows: list) -> list:
     """Verdicts on the ratios of the first size."""
-    order, edges = SIZES[0]
+    order, edges = rows[0]["order"], rows[0]["edges"]
     what = {"times": "time", "first_call": "first call"}
     return [verdict(f"order {order}, {edges} edges, {what[row['table']]}: {row['numerator']} / {row['denominator']} "
                     f"at {'most' if row['at_most'] else 'least'} {row['limit']:g}", row["ratio"], row["limit"], row["at_most"])
@@ -281,21 +283,15 @@ def plot(record: Record, path: pathlib.Path) -> None:
 
 
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one size, few rounds; the figures mean little")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder of the results (default: validation/results)")
-    parser.add_argument("--threads", type=int, default=1, help=argparse.SUPPRESS)
-    parser.add_argument("--first-call", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(__doc__, arguments, threads={"type": int, "default": 1, "help": "threads of Dr.Jit (default: 1)"},
+                                 first_call=FIRST_CALL)
     dr.set_thread_count(options.threads)
     if options.first_call:
         print(json.dumps(first_call(options.first_call)))
         return 0
 
-    plan = QUICK if options.quick else Plan()
-    record, rows = Record(), []
-    report = {"versions": versions(options.threads), "quick": options.quick}
-    for order, edges in SIZES[:1] if options.quick else SIZES:
+    plan, record, rows = QUICK if options.quick else Plan(), Record(), []
+    for order, edges in QUICK_SIZES if options.quick else SIZES:
         print(f"order {order}, {edges} edges", file=sys.stderr, flush=True)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             times = measure_times(record, plan, order, edges)
@@ -303,9 +299,9 @@ def main(arguments=None) -> int:
     lines = targets(rows)
     print_report(record, rows)
     print_verdicts(record, lines)
-    options.out.mkdir(parents=True, exist_ok=True)
-    report.update(targets=lines, failures=record.failures, ratios=rows, times=record.rows["times"], first_call=record.rows["first_call"])
-    (options.out / "gradient_cost.json").write_text(json.dumps(report, indent=1) + "\n")
+    report = {"targets": lines, "failures": record.failures, "ratios": rows, "times": record.rows["times"],
+              "first_call": record.rows["first_call"]}
+    experiment.write(options.out / "gradient_cost.json", report, options.quick)
     plot(record, options.out / "gradient_cost.png")
     return int(bool(record.failures))
 

@@ -1,6 +1,6 @@
 """Claim: the analytic gradients are the derivatives of the coefficients, to the accuracy of the coefficients; [W20] Fig. 6 anew.
 
-    python -m validation.gradients [--size N] [--order N] [--out DIR]
+    python -m validation.gradients [--quick] [--out DIR] [--size N] [--order N]
 
 writes ``gradients.json``, ``gradients.png`` and ``gradients_accuracy.png`` and prints the table of errors and the list of targets:
 
@@ -18,8 +18,6 @@ The kernels of the classes take six minutes of one core to compile, the first ti
 """
 from __future__ import annotations
 
-import argparse
-import json
 import pathlib
 import sys
 
@@ -31,8 +29,8 @@ from drjit.llvm.ad import Array3f, Array3f64
 from mi_shlight import project_polygon, project_polygon_gradient, project_polygon_spatial_gradient
 from mi_shlight.light.project import METHODS
 from tests import reference
-from validation.engine import RESULTS
-from validation.engine_report import VERDICT, significant, verdict
+from validation import experiment
+from validation.experiment import print_targets, significant, verdict
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -47,6 +45,7 @@ PAPER_STEP = 1e-3
 PRECISIONS = {"float32": Array3f, "float64": Array3f64}
 STEPS = 10.0 ** np.arange(-12, -0.4, 0.5)
 STEP_ORDER = 8
+QUICK_CORNERS = 4
 GENERIC = ("triangle", "quad", "heptagon", "star", "axis-aligned")
 LIMITS = (("float64", "generic", 1e-11), ("float32", "generic", 1e-5), ("float32", "distance", 1e-4))
 """(precision, classes, largest relative L2 error) promised of ``auto``."""
@@ -248,29 +247,25 @@ def print_report(images: list, classes: list, lines: list) -> None:
     found = {(row["class"], row["method"], row["precision"]): row["max"] for row in classes}
     for name in dict.fromkeys(row["class"] for row in classes):
         print(f"{name:14s} " + " ".join(" " + " ".join(f"{found[name, method, p]:8.1e}" for p in PRECISIONS) for method in METHODS))
-    print("\nTargets")
-    for line in lines:
-        print(f"{VERDICT[line['met']]:6s} {line['target']}: {line['measured']}")
+    print_targets(lines)
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, default=128, help="pixels along a side of the images (default: %(default)s)")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder of the results (default: validation/results)")
-    parser.add_argument("--order", type=int, default=14, help="of the classes, at most 14 (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    cases = reference.reference_cases()
-    images = measure_images(options.size)
-    steps = measure_steps(next(case for case in cases if case.name == "quad"), STEP_ORDER, STEPS)
-    rows, classes = image_errors(images), measure_classes(cases, options.order)
+    options = experiment.options(
+        __doc__, arguments, size={"type": int, "default": 128, "help": "pixels along a side of the images (default: %(default)s)"},
+        order={"type": int, "default": 14, "help": "of the classes, at most 14 (default: %(default)s)"})
+    cases, size, order, steps = reference.reference_cases(), options.size, options.order, STEPS
+    if options.quick:
+        cases, size, order, steps = [case for case in cases if len(case.vertices) == QUICK_CORNERS], 16, 3, STEPS[::4]
+    images = measure_images(size)
+    steps = measure_steps(next(case for case in cases if case.name == "quad"), min(order, STEP_ORDER), steps)
+    rows, classes = image_errors(images), measure_classes(cases, order)
     lines = targets(classes)
     print_report(rows, classes, lines)
-    options.out.mkdir(parents=True, exist_ok=True)
     plot_images(images, options.out / "gradients.png")
     plot_accuracy(steps, classes, options.out / "gradients_accuracy.png")
-    report = {"size": options.size, "step": PAPER_STEP, "order": options.order, "targets": lines, "images": rows, "steps": steps,
-              "classes": classes}
-    (options.out / "gradients.json").write_text(json.dumps(report, indent=1) + "\n")
+    report = {"size": size, "step": PAPER_STEP, "order": order, "targets": lines, "images": rows, "steps": steps, "classes": classes}
+    experiment.write(options.out / "gradients.json", report, options.quick)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,8 @@
 
     python -m validation.grid [--quick] [--out DIR] [--only PART ...]
 
-prints tables and the list of targets, and writes ``grid.json``, ``grid.png`` and pictures. ``--quick`` tries everything on small scenes.
-``--only`` measures some parts anew and keeps the others of an existing ``grid.json``. Run it on an idle machine. Exit status 1 if a
-measurement failed; a missed target is a result.
+prints tables and the list of targets, and writes ``grid.json``, ``grid.png`` and pictures. ``--only`` measures some parts anew and keeps
+the others of an existing ``grid.json``. Run it on an idle machine. Exit status 1 if a measurement failed; a missed target is a result.
 
 **Time**: float32, one thread, medians; CPU time of the process, Python and tracing included: the time on the clock of an idle machine.
 
@@ -44,9 +43,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from validation import grid_cost, grid_interpolation, grid_pictures, grid_report
-from validation.engine import RESULTS, first_seconds, in_fresh_process, versions
-from validation.engine_report import print_verdicts, significant
+from validation import experiment, grid_cost, grid_interpolation, grid_pictures, grid_report
+from validation.engine import FIRST_CALL, first_seconds, in_fresh_process
+from validation.engine_report import print_verdicts
+from validation.experiment import significant
 from validation.grid_cost import QUICK, SPLIT, VARIANTS, Plan
 from validation.grid_report import GridRecord
 
@@ -105,13 +105,11 @@ PARTS = {
 
 
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small scenes, under three minutes; the figures mean little")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder of the results (default: validation/results)")
-    parser.add_argument("--only", nargs="+", choices=list(PARTS), metavar="PART", help="parts to measure: " + ", ".join(PARTS))
-    parser.add_argument("--threads", type=int, default=1, help=argparse.SUPPRESS)           # as `in_fresh_process` passes it
-    parser.add_argument("--first-call", type=json.loads, help=argparse.SUPPRESS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(
+        __doc__, arguments,
+        only={"nargs": "+", "choices": list(PARTS), "metavar": "PART", "help": "parts to measure: " + ", ".join(PARTS)},
+        threads={"type": int, "default": 1, "help": argparse.SUPPRESS},           # as `in_fresh_process` passes it
+        first_call=FIRST_CALL)
     dr.set_thread_count(1)
     if options.first_call:
         print(json.dumps(first_call(options.first_call)))
@@ -119,7 +117,6 @@ def main(arguments=None) -> int:
     mi.set_variant("llvm_ad_rgb")
 
     plan, record = QUICK if options.quick else Plan(), GridRecord()
-    options.out.mkdir(parents=True, exist_ok=True)
     path, runs = options.out / "grid.json", {}
     if options.only and path.exists():
         earlier = json.loads(path.read_text())
@@ -130,11 +127,11 @@ def main(arguments=None) -> int:
         for table in tables:
             record.rows[table] = [row for row in record.rows[table] if table == "pictures" and row["figure"] != part]
         record.attempt(part, measure, record, plan, options.out)
-        runs[part] = {**versions(1), "quick": options.quick}
+        runs[part] = {**experiment.versions(), "quick": options.quick}
     lines = grid_report.targets(record)
     grid_report.print_tables(record)
     print_verdicts(record, lines)
-    path.write_text(json.dumps({"runs": runs, "targets": lines, "failures": record.failures, **record.rows}, indent=1) + "\n")
+    experiment.write(path, {"runs": runs, "targets": lines, "failures": record.failures, **record.rows}, options.quick)
     grid_report.plot(record, options.out / "grid.png")
     return int(bool(record.failures))
 

@@ -17,7 +17,8 @@ from mi_shlight.light.project import light_shader, project_light
 from mi_shlight.light.topology import MeshTables, mesh_topology
 from mi_shlight.panel import srgb
 from mi_shlight.transfer.cosine import cosine_transfer
-from validation.engine_report import Record, significant
+from validation.engine_report import Record
+from validation.experiment import significant
 from validation.grid_scenes import W20, Lights, Scene, placed, table_scene, textured
 
 ORDER, RESOLUTION = 8, 8

@@ -10,7 +10,8 @@ from drjit.llvm.ad import Array3f64, Float64, UInt32
 
 from mi_shlight import project_polygon_spatial_gradient
 from mi_shlight.grid.cells import CORNERS, INTERPOLATIONS, corner_weights
-from validation.engine_report import Record, significant
+from validation.engine_report import Record
+from validation.experiment import significant
 
 LIGHT = ((-5, -5, 1), (5, -5, 1), (5, 5, 1), (-5, 5, 1))
 """Of [W20] section 7.1, facing down."""

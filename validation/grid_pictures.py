@@ -13,7 +13,8 @@ import mitsuba as mi
 import numpy as np
 
 from mi_shlight.panel import srgb
-from validation.engine_report import Record, significant
+from validation.engine_report import Record
+from validation.experiment import significant
 from validation.grid_cost import SPLIT, Lights, Receivers, exact_shading, exposure, make_grid, milliseconds, moved, shade_all
 from validation.grid_scenes import Scene, table_scene
 

@@ -7,7 +7,8 @@ import pathlib
 import numpy as np
 
 from mi_shlight.grid.cells import INTERPOLATIONS
-from validation.engine_report import Record, columns, linear_fit, verdict
+from validation.engine_report import Record, columns, linear_fit
+from validation.experiment import verdict
 from validation.grid_cost import BY_FACE, ORDER, RESOLUTION, TARGETED
 from validation.grid_interpolation import DEGREE, INDEX, LINES, OFF_AXIS, SAMPLES, convergence_order, on_line
 from validation.grid_scenes import W20

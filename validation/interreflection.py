@@ -2,9 +2,8 @@
 
     python -m validation.interreflection [--quick] [--out DIR] [--only PART ...] [--references DIR]
 
-prints tables and writes ``interreflection.json``, ``interreflection.png`` (panel) and ``interreflection_curves.png``. ``--quick`` takes
-small pictures. ``--only`` measures some parts anew and keeps the others of an existing ``interreflection.json``. ``--references`` keeps the
-path-traced pictures in a folder. Exit status 1 if a target is missed.
+prints tables and writes ``interreflection.json``, ``interreflection.png`` (panel) and ``interreflection_curves.png``. ``--only`` measures
+some parts anew and keeps the others of an existing ``interreflection.json``. ``--references`` keeps the path-traced pictures in a folder.
 
 The scene is Mitsuba's Cornell box (``scenes/cornell_box.xml``); references are Mitsuba's ``path`` without Russian roulette. All errors are
 means of absolute differences over the mean of the reference, over pixels that see a surface and no part of the light.
@@ -23,7 +22,6 @@ a bounce. Under an environment the two are the same sums in another order and ag
 """
 from __future__ import annotations
 
-import argparse
 import functools
 import json
 import pathlib
@@ -41,7 +39,7 @@ from mi_shlight.compare import image_errors, shaded_pixels
 from mi_shlight.errors import UnsupportedSceneWarning
 from mi_shlight.panel import srgb
 from mi_shlight.shading.bounce import Bounces
-from validation.engine import RESULTS, versions
+from validation import experiment
 
 SCENE = pathlib.Path(__file__).parents[1] / "scenes" / "cornell_box.xml"
 DEPTHS = {0: 2, 1: 3, 2: 4, None: -1}
@@ -119,9 +117,9 @@ def measure_orders(cornell: Box, orders) -> tuple:
     return rows, shown
 
 
-def measure_counts(cornell: Box) -> list:
+def measure_counts(cornell: Box, counts) -> list:
     whole, rows = cornell.render(None, order=4, bounce_tolerance=1e-5), []
-    for count in COUNTS:
+    for count in counts:
         missing = (whole - cornell.render(count, order=4))[cornell.mask].sum() / whole[cornell.mask].sum()
         rows.append({"bounces": count, "missing": float(missing)})
     return rows
@@ -176,10 +174,10 @@ def corner(size: int, emitter: dict, height: float = 2.0):
                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}}}, optimize=False)
 
 
-def measure_lighting(size: int, spp: int) -> list:
+def measure_lighting(size: int, spp: int, heights) -> list:
     rows = []
     area = {"type": "shlight", "radiance": {"type": "rgb", "value": 10.0}}
-    cases = [(f"light at {height}", corner(size, area, height)) for height in HEIGHTS]
+    cases = [(f"light at {height}", corner(size, area, height)) for height in heights]
     sky = np.ones((16, 32, 3), np.float32) * np.linspace(2, 0.2, 16, dtype=np.float32)[:, None, None]
     sky[2:5, 20:24] = (40, 30, 10)
     cases += [("constant", corner(size, {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}})),
@@ -261,7 +259,7 @@ def draw_curves(report: dict, path: pathlib.Path) -> None:
     near = [row for row in report["lighting"] if row["light"].startswith("light")]
     for name, label in (("difference", "transfer against gather"), ("gather", "gather against path"),
                         ("transfer", "transfer against path")):
-        axes[1, 2].loglog(HEIGHTS, [r[name] for r in near], "o-", label=label)
+        axes[1, 2].loglog(HEIGHTS[:len(near)], [r[name] for r in near], "o-", label=label)
     axes[1, 2].set(xlabel="height of the light over a corner of size 2", ylabel="error of bounced light")
     axes[1, 2].legend()
     for axis, ticks in ((axes[0, 2], SAMPLES), (axes[1, 0], EDGES), (axes[1, 2], HEIGHTS)):
@@ -273,53 +271,45 @@ def draw_curves(report: dict, path: pathlib.Path) -> None:
     plt.close(figure)
 
 
-def judge(report: dict) -> list:
-    """Targets with what was measured."""
+def targets(report: dict) -> list:
+    """Verdicts on the converged picture and on bounces under an environment."""
     whole = next(row for row in report["orders"] if (row["order"], row["bounces"]) == (SHOWN_ORDER, "all"))
     sky = max(row["difference"] for row in report["lighting"] if not row["light"].startswith("light"))
     found = (whole["mean_relative"], whole["bounced"], sky)
-    return [{"what": what, "target": limit, "measured": value, "met": bool(value <= limit)}
-            for (what, limit), value in zip(TARGETS, found)]
+    return [experiment.verdict(f"{what}: at most {limit:g}", value, limit) for (what, limit), value in zip(TARGETS, found)]
 
 
-def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small pictures, few orders; the figures mean little")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS, help="folder of the results (default: validation/results)")
-    parser.add_argument("--only", nargs="+", choices=PARTS, metavar="PART", help="parts to measure: " + ", ".join(PARTS))
-    parser.add_argument("--references", type=pathlib.Path, help="folder that keeps the path-traced pictures")
-    options = parser.parse_args(arguments)
+def main(arguments=None) -> None:
+    options = experiment.options(
+        __doc__, arguments,
+        only={"nargs": "+", "choices": PARTS, "default": PARTS, "metavar": "PART", "help": "parts to measure: " + ", ".join(PARTS)},
+        references={"type": pathlib.Path, "help": "folder that keeps the path-traced pictures"})
     mi.set_variant("llvm_ad_rgb")
     warnings.simplefilter("ignore", UnsupportedSceneWarning)
-    options.out.mkdir(parents=True, exist_ok=True)
     size, reference_spp, spp = (24, 64, 4) if options.quick else (96, 4096, 64)
     cornell, path = Box(size, reference_spp, spp, options.references), options.out / "interreflection.json"
-    report = json.loads(path.read_text()) if options.only and path.exists() else {}
-    take = lambda values: values[:2] if options.quick else values
-    for part in options.only or PARTS:
+    report = json.loads(path.read_text()) if set(options.only) != set(PARTS) and path.exists() else {}
+    take = lambda values: values[:1] if options.quick else values
+    for part in options.only:
         if part == "orders":
-            report[part], shown = measure_orders(cornell, (2, SHOWN_ORDER) if options.quick else ORDERS)
+            report[part], shown = measure_orders(cornell, (SHOWN_ORDER,) if options.quick else ORDERS)
             draw_panel(cornell, shown, options.out / "interreflection.png")
         elif part == "bounces":
-            report[part] = measure_counts(cornell)
+            report[part] = measure_counts(cornell, take(COUNTS))
         elif part == "samples":
             report[part] = measure_cost(cornell, "bounce_samples", take(SAMPLES))
         elif part == "edges":
             report[part] = measure_cost(cornell, "max_edge", take(EDGES))
         else:
-            report[part] = measure_lighting(16 if options.quick else 64, spp)
+            report[part] = measure_lighting(16 if options.quick else 64, spp, take(HEIGHTS))
         print(f"{part}\n{table(report[part])}", flush=True)
-        report.setdefault("runs", {})[part] = {"size": size, "reference_spp": reference_spp, "spp": spp, **versions(dr.thread_count())}
-        path.write_text(json.dumps(report, indent=1) + "\n")
-    if not all(part in report for part in PARTS):
-        return 0
-    report["targets"] = judge(report)
-    for line in report["targets"]:
-        print(f"{line['what']}: {line['measured']:.2g}, target {line['target']:g}: {'met' if line['met'] else 'MISSED'}")
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    draw_curves(report, options.out / "interreflection_curves.png")
-    return int(not all(line["met"] for line in report["targets"]))
+        report.setdefault("runs", {})[part] = {"size": size, "reference_spp": reference_spp, "spp": spp, **experiment.versions()}
+    if all(part in report for part in PARTS):
+        report["targets"] = targets(report)
+        experiment.print_targets(report["targets"])
+        draw_curves(report, options.out / "interreflection_curves.png")
+    experiment.write(path, report, options.quick)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

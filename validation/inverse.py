@@ -1,11 +1,11 @@
 """Claim: the example of inverse rendering finds the light from ten random starts; how Mitsuba's own gradients fare in the same time.
 
-    python -m validation.inverse [--starts N] [--iterations N] [--threads N]
+    python -m validation.inverse [--quick] [--out DIR] [--starts N] [--iterations N]
 
 runs ``scenes/inverse_rendering.py`` for the rectangle and the pentagon from `starts` random starts, then the same optimisation by
 ``direct_projective`` (``guiding`` none), which takes as many steps as fit into the time `shprt` took; steps are timed in the same run.
 Steps of `shprt` are replayed by `dr.freeze`; Mitsuba refuses that for its projective integrators, whose steps are traced anew (two fifths
-of their time). It writes ``validation/results/inverse.json``, ``inverse_convergence.png`` and, for the start that ended as the median,
+of their time). It writes ``inverse.json``, ``inverse_convergence.png`` and, for the start that ended as the median,
 ``inverse_rectangle.png`` and ``inverse_pentagon.png``.
 
 A start has found the light if the centre is within 2 % of its distance from the scene. Size and radiance of a light show in the
@@ -16,25 +16,18 @@ less than 1 % of itself at order 8, even with 16 samples of 128 rays per pixel. 
 """
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
-import os
-import pathlib
-import platform
 import time
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-import mi_shlight  # noqa: E402
 from mi_shlight.files import replacing  # noqa: E402
+from validation import experiment  # noqa: E402
+from validation.experiment import ROOT  # noqa: E402
 
-ROOT = pathlib.Path(__file__).parents[1]
-RESULTS = ROOT / "validation" / "results"
 PROBLEMS = ("rectangle", "pentagon")
 FOUND = 0.02
 """Largest error of the centre, in parts of its distance."""
@@ -93,12 +86,12 @@ def verdict(track) -> dict:
             **last}
 
 
-def run(problems, starts: int, iterations: int) -> tuple:
+def run(problems, starts: int, iterations: int, resolution: int = RESOLUTION, order: int = ORDER) -> tuple:
     """(report, tracks by problem and method, pictures by problem)."""
     example = load_example()
     report, tracks, pictures = {}, {}, {}
     for name in problems:
-        problem = example.set_up(name, RESOLUTION, ORDER)
+        problem = example.set_up(name, resolution, order)
         scene, truth, target = problem
         lights = [example.random_start(truth, scene, np.random.default_rng(seed)) for seed in range(starts)]
         steps_in(example, problem, lights[0], "shprt", 1)           # compiles
@@ -133,7 +126,7 @@ def draw_convergence(tracks, path) -> None:
 
     figure = Figure(figsize=(11, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (problem, methods) in zip(figure.subplots(1, len(tracks), sharey=True), tracks.items()):
+    for axes, (problem, methods) in zip(figure.subplots(1, len(tracks), sharey=True, squeeze=False)[0], tracks.items()):
         for colour, (method, runs) in zip(("C0", "C1"), methods.items()):
             for track in runs:
                 axes.semilogy(track["seconds"], track["centre"], color=colour, alpha=0.3, linewidth=0.8)
@@ -150,33 +143,36 @@ def draw_convergence(tracks, path) -> None:
         figure.savefig(temporary, format="png")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--starts", type=int, default=10)
-    parser.add_argument("--iterations", type=int, default=240, help="steps of shprt")
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    options = parser.parse_args()
-    dr.set_thread_count(options.threads)
-    write(*run(PROBLEMS, options.starts, options.iterations), options.threads)
+def main(arguments=None) -> None:
+    options = experiment.options(
+        __doc__, arguments, starts={"type": int, "default": 10, "help": "random starts of each problem (default: %(default)s)"},
+        iterations={"type": int, "default": 240, "help": "steps of shprt (default: %(default)s)"})
+    found = run(PROBLEMS[:1], 1, 2, 16, 2) if options.quick else run(PROBLEMS, options.starts, options.iterations)
+    write(*found, options)
 
 
-def write(report, tracks, pictures, threads: int) -> None:
+def targets(summary: dict) -> list:
+    """Verdicts on the starts from which `shprt` found the light."""
+    return [experiment.verdict(f"{name}: starts of {methods['shprt']['of']} from which shprt finds the light", methods["shprt"]["found"],
+                               methods["shprt"]["of"], at_most=False) for name, methods in summary.items()]
+
+
+def write(report, tracks, pictures, options) -> None:
     """Write what :py:func:`run` gave, and print the summary."""
-    versions = {"mi_shlight": mi_shlight.__version__, "mitsuba": mi.__version__, "machine": platform.processor() or platform.machine(),
-                "threads": threads}
     summary = {name: {method: {"found": sum(e["found"] for e in entries), "of": len(entries),
                                **{f"median {figure}": float(np.median(np.abs([e[figure] for e in entries]))) for figure in FIGURES}}
                       for method, entries in methods.items()} for name, methods in report.items()}
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    content = {"settings": {"resolution": RESOLUTION, "order": ORDER, "spp": SPP, "found": FOUND}, "versions": versions,
-               "summary": summary, "starts": report}
-    (RESULTS / "inverse.json").write_text(json.dumps(content, indent=2) + "\n")
-    draw_convergence(tracks, RESULTS / "inverse_convergence.png")
+    lines = targets(summary)
+    content = {"targets": lines, "settings": {"resolution": RESOLUTION, "order": ORDER, "spp": SPP, "found": FOUND}, "summary": summary,
+               "starts": report}
+    experiment.write(options.out / "inverse.json", content, options.quick)
+    draw_convergence(tracks, options.out / "inverse_convergence.png")
     for name, shown in pictures.items():
-        load_example().draw(RESULTS / f"inverse_{name}.png", shown)
+        load_example().draw(options.out / f"inverse_{name}.png", shown)
     for name, methods in summary.items():
         for method, entry in methods.items():
             print(f"{name}, {method}: {entry['found']} of {entry['of']} found; median error of the centre {entry['median centre']:.2%}")
+    experiment.print_targets(lines)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,14 @@
 """Claim: 1.3 million triangles lit by 723 triangle lights at order 8 take less than 8 GiB, from loading to the picture.
 
-    python -m validation.large_scene [--scale S] [--rays N] [--out DIR]
+    python -m validation.large_scene [--quick] [--out DIR] [--scale S] [--rays N]
 
 Loads, bakes, saves, reads back and renders a procedural scene with the light grid, moves all lights and renders again; prints time and
-resident memory after each step and writes ``large_scene.json``. Exit status 1 if the peak is above 8 GiB.
+resident memory after each step and writes ``large_scene.json``.
 """
 from __future__ import annotations
 
-import argparse
-import json
 import pathlib
 import resource
-import sys
 import tempfile
 import time
 
@@ -19,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from validation.engine import RESULTS, versions
+from validation import experiment
 
 LIGHTS, SIDE, LIMIT = 723, 470, 8.0
 
@@ -49,13 +46,13 @@ def mesh(name: str, vertices, faces, emitter=None):
     return shape
 
 
-def build(scale: float):
+def build(scale: float, lights: int):
     random = np.random.default_rng(0)
     shapes = {f"torus{k}": mesh(f"torus{k}", *torus(round(SIDE * scale ** 0.5), centre))
               for k, centre in enumerate([(-2, 0.8, 0), (2, 0.8, 0), (0, 0.8, 2.2)])}
     floor = np.array([[-5, 0, 5], [5, 0, 5], [5, 0, -5], [-5, 0, -5]])
     shapes["floor"] = mesh("floor", floor, np.array([[0, 1, 2], [0, 2, 3]]))
-    for k in range(LIGHTS):
+    for k in range(lights):
         corners = random.uniform([-5, 2.5, -5], [5, 4, 5]) + random.normal(size=(3, 3)) * 0.08
         emitter = {"type": "shlight", "radiance": {"type": "rgb", "value": random.uniform(1, 10, 3).tolist()}}
         shapes[f"light{k}"] = mesh(f"light{k}", corners, np.array([[0, 1, 2]]), emitter)
@@ -64,12 +61,12 @@ def build(scale: float):
         "type": "hdrfilm", "width": 256, "height": 256, "rfilter": {"type": "box"}}}, **shapes}, optimize=False)
 
 
-def main(argv=None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scale", type=float, default=1.0, help="of the number of triangles")
-    parser.add_argument("--rays", type=int, default=16, help="per baked point")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    arguments = parser.parse_args(argv)
+def main(arguments=None) -> None:
+    options = experiment.options(__doc__, arguments, scale={"type": float, "default": 1.0, "help": "of the number of triangles"},
+                                 rays={"type": int, "default": 16, "help": "per baked point"})
+    lights = LIGHTS
+    if options.quick:
+        options.scale, options.rays, lights = 0.01, 4, 20
     mi.set_variant("llvm_ad_rgb")
     from mi_shlight import bake_transfer, load_transfer
     from mi_shlight.rendering import render
@@ -81,14 +78,14 @@ def main(argv=None) -> int:
         print(f"{name:40s} {steps[name]['seconds']:8.2f} s   peak {steps[name]['peak_gib']:.2f} GiB", flush=True)
         began[0] = time.perf_counter()
 
-    scene = build(arguments.scale)
+    scene = build(options.scale, lights)
     triangles = sum(shape.face_count() for shape in scene.shapes())
     done(f"scene, {triangles} triangles")
     with tempfile.TemporaryDirectory() as folder:
         path = str(pathlib.Path(folder) / "large.npz")
-        transfer = bake_transfer(scene, 8, samples=arguments.rays, max_edge=1e9, light_margin=0.05)
+        transfer = bake_transfer(scene, 8, samples=options.rays, max_edge=1e9, light_margin=0.05)
         rows = transfer.coeffs.shape[1]
-        done(f"bake, {rows} points, {arguments.rays} rays")
+        done(f"bake, {rows} points, {options.rays} rays")
         transfer.save(path)
         del transfer
         load_transfer(path)
@@ -99,21 +96,20 @@ def main(argv=None) -> int:
     render(scene, plugin, spp=4, seed=1)
     done("second picture")
     parameters = mi.traverse(scene)
-    for k in range(LIGHTS):
+    for k in range(lights):
         key = f"light{k}.vertex_positions"
         parameters[key] = parameters[key] + 0.01
     parameters.update()
     dr.sync_thread()
-    done("move 723 lights (Mitsuba's acceleration structure)")
+    done(f"move {lights} lights (Mitsuba's acceleration structure)")
     plugin.prepare_scene(scene)
     done("follow them")
     render(scene, plugin, spp=4, seed=2)
     done("picture after that")
-    record = {"versions": versions(dr.thread_count()), "triangles": triangles, "lights": LIGHTS, "points": rows, "steps": steps,
-              "peak_gib": round(peak(), 2)}
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "large_scene.json").write_text(json.dumps(record, indent=1) + "\n")
-    return int(peak() > LIMIT)
+    lines = [experiment.verdict(f"{triangles} triangles, {lights} lights: peak of resident memory at most {LIMIT:g} GiB", peak(), LIMIT)]
+    experiment.print_targets(lines)
+    record = {"targets": lines, "triangles": triangles, "lights": lights, "points": rows, "steps": steps, "peak_gib": round(peak(), 2)}
+    experiment.write(options.out / "large_scene.json", record, options.quick)
 
 
 def peak() -> float:
@@ -122,4 +118,4 @@ def peak() -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,21 +1,19 @@
 """Claim: lights of all kinds light a scene together, each as the path tracer has it; skies and proxy shadows look as they should.
 
 A torus over a floor under a polygon, a sky of the CIE with a round cloud of light (a cap) in it, a constant light and a directional one,
-one by one and together (as [W18] figure 9), against ``path`` at ``max_depth`` 2. Writes light_kinds.json and three pictures to
-``validation/results/``.
+one by one and together (as [W18] figure 9), against ``path`` at ``max_depth`` 2.
 
-    python -m validation.light_kinds [--reference-spp N]
+    python -m validation.light_kinds [--quick] [--out DIR] [--reference-spp N]
+
+writes ``light_kinds.json``, ``light_kinds.png``, ``light_kinds_skies.png`` and ``light_kinds_proxy.png``.
 """
 from __future__ import annotations
-
-import argparse
-import json
-import pathlib
 
 import mitsuba as mi
 import numpy as np
 
-RESULTS = pathlib.Path(__file__).parent / "results"
+from validation import experiment
+
 SIZE, SPP, ORDER = 96, 64, 8
 BLOCK = 3
 """Pixels across over which the pictures of differences are averaged."""
@@ -24,13 +22,13 @@ SKIES = {"overcast": None, "clear": SUN, "partly_cloudy": SUN}
 CAP, CAP_ANGLE, CAP_COLOUR = (-0.8, 0.5, 0.3), 0.35, np.array([6.0, 3.0, 1.0])
 
 
-def scene(**lights):
-    """A torus that leans over a floor."""
+def scene(size: int = SIZE, **lights):
+    """A torus that leans over a floor, in a square picture of `size` pixels."""
     return mi.load_dict({
         "type": "scene", **lights, "torus": torus(),
         "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(4), "bsdf": matt(0.6, 0.6, 0.6)},
         "sensor": {"type": "perspective", "fov": 34, "to_world": mi.ScalarTransform4f().look_at([0.6, 2.6, 4.6], [0, 0.6, 0], [0, 1, 0]),
-                   "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "component_format": "float32"}},
+                   "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "component_format": "float32"}},
     }, optimize=False)
 
 
@@ -177,7 +175,8 @@ def draw_kinds(results: dict, path) -> None:
     figure, axes = _figure(3, len(results), 7.6)
     for column, (name, r) in zip(axes.T, results.items()):
         exposure = 0.9 / np.percentile(r["reference"], 99)
-        blocks = (r["image"] - r["reference"]).reshape(SIZE // BLOCK, BLOCK, SIZE // BLOCK, BLOCK, 3)
+        side = len(r["image"]) // BLOCK
+        blocks = (r["image"] - r["reference"]).reshape(side, BLOCK, side, BLOCK, 3)
         difference = blocks.mean(axis=(1, 3, 4)) / r["reference"].mean()
         for axis, picture in zip(column, (r["image"], r["reference"])):
             axis.imshow(srgb(picture * exposure))
@@ -190,27 +189,40 @@ def draw_kinds(results: dict, path) -> None:
     figure.savefig(path, pil_kwargs={"optimize": True})
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--reference-spp", type=int, default=4096)
-    arguments = parser.parse_args()
+def targets(report: dict) -> list:
+    """Verdicts on bias, which noise does not hide, and on proxy shadows."""
+    return [*(experiment.verdict(f"{name}: bias against path tracing at most 0.5 %", abs(row["bias"]), 0.005, text="{:.2%}")
+              for table in ("kinds", "skies") for name, row in report[table].items()),
+            experiment.verdict("proxy shadow, order 14: error of the shadow at most 1 %",
+                               report["proxy_shadow"]["order 14"]["mean_of_shadow"], 0.01, text="{:.2%}")]
+
+
+def main(arguments=None) -> None:
+    options = experiment.options(__doc__, arguments, reference_spp={"type": int, "default": 4096})
+    size, resolution, skies = SIZE, 64, SKIES
     mi.set_variant("llvm_ad_rgb")
     import mi_shlight  # noqa: F401  registers shprt and shlight
 
-    table = {}
+    kinds = light_kinds()
+    if options.quick:
+        options.reference_spp, size, resolution = 64, 8 * BLOCK, 8
+        kinds, skies = {name: kinds[name] for name in list(kinds)[-1:]}, {}
     numbers = lambda results: {name: {k: v for k, v in r.items() if not isinstance(v, np.ndarray)} for name, r in results.items()}
-    kinds = {name: compare(scene(**lights), arguments.reference_spp) for name, lights in light_kinds().items()}
-    draw_kinds(kinds, RESULTS / "light_kinds.png")
-    table["kinds"] = numbers(kinds)
-    skies = {kind: compare(scene(sky=envmap(sky_map(kind, sun, False))), arguments.reference_spp) for kind, sun in SKIES.items()}
-    draw_kinds(skies, RESULTS / "light_kinds_skies.png")
-    table["skies"] = numbers(skies)
-    proxy = proxy_shadow_on_floor()
-    draw_proxy(proxy, RESULTS / "light_kinds_proxy.png")
-    table["proxy_shadow"] = proxy["errors"]
-    table["settings"] = {"order": ORDER, "spp": SPP, "reference_spp": arguments.reference_spp, "size": SIZE}
-    (RESULTS / "light_kinds.json").write_text(json.dumps(table, indent=2) + "\n")
-    print(json.dumps(table, indent=2))
+    kinds = {name: compare(scene(size, **lights), options.reference_spp) for name, lights in kinds.items()}
+    draw_kinds(kinds, options.out / "light_kinds.png")
+    skies = {kind: compare(scene(size, sky=envmap(sky_map(kind, sun, False))), options.reference_spp) for kind, sun in skies.items()}
+    if skies:
+        draw_kinds(skies, options.out / "light_kinds_skies.png")
+    proxy = proxy_shadow_on_floor(resolution)
+    draw_proxy(proxy, options.out / "light_kinds_proxy.png")
+    report = {"kinds": numbers(kinds), "skies": numbers(skies), "proxy_shadow": proxy["errors"],
+              "settings": {"order": ORDER, "spp": SPP, "reference_spp": options.reference_spp, "size": size}}
+    report = {"targets": targets(report), **report}
+    for table in ("kinds", "skies", "proxy_shadow"):
+        for name, row in report[table].items():
+            print(f"{name:22s} " + ", ".join(f"{key.replace('_', ' ')} {value:.2%}" for key, value in row.items()))
+    experiment.print_targets(report["targets"])
+    experiment.write(options.out / "light_kinds.json", report, options.quick)
 
 
 if __name__ == "__main__":

@@ -1,28 +1,25 @@
 """Claim: SH shading and path tracing of the same file agree; README's table and pictures.
 
-Runs ``compare`` on the scenes of this repository and on Mitsuba's own ``mi.cornell_box()`` saved as XML, with their own
-settings, and writes panels and reports to ``validation/results/panels/``.
+    python -m validation.panels [--quick] [--out DIR] [--scene NAME ...] [--reference-spp N]
 
-    python -m validation.panels [SCENE ...]
+runs ``compare`` on the scenes of this repository and on Mitsuba's own ``mi.cornell_box()`` saved as XML, with their own settings, and
+writes ``panels.json`` and a picture for each into ``panels/``.
 """
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import pathlib
-import platform
 import shutil
 import tempfile
 
 import mitsuba as mi
 
-import mi_shlight
 from mi_shlight.compare import compare
+from validation import experiment
+from validation.experiment import ROOT
 
-ROOT = pathlib.Path(__file__).parents[1]
-RESULTS = ROOT / "validation" / "results" / "panels"
 SCENES = ("cornell_box", "plant", "sculpture", "floor", "mi.cornell_box")
+LARGEST_ERROR = 0.015
+"""Mean relative error that the README states, order 8."""
 
 
 def scene_file(name: str, folder: pathlib.Path) -> pathlib.Path:
@@ -35,29 +32,32 @@ def scene_file(name: str, folder: pathlib.Path) -> pathlib.Path:
     return path
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", nargs="*", choices=[*SCENES, []], help="default: all")
-    parser.add_argument("--reference-spp", type=int, default=4096)
-    arguments = parser.parse_args()
+def main(arguments=None) -> None:
+    options = experiment.options(__doc__, arguments, scene={"nargs": "+", "choices": SCENES, "default": SCENES, "help": "default: all"},
+                                 reference_spp={"type": int, "default": 4096})
     mi.set_variant("llvm_ad_rgb")
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    table = []
-    with tempfile.TemporaryDirectory() as folder:
-        folder = pathlib.Path(folder)
-        for name in arguments.scene or SCENES:
-            scene = mi.load_file(str(scene_file(name, folder)), optimize=False)
-            report = compare(scene, folder, reference_spp=arguments.reference_spp, title=name)
-            shutil.copy(folder / "panel.png", RESULTS / f"{name}.png")
-            report["versions"] = {"mi_shlight": mi_shlight.__version__, "mitsuba": mi.__version__, "machine": platform.processor() or
-                                  platform.machine(), "cores": os.cpu_count()}
-            (RESULTS / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n")
-            errors, times = report["errors"], report["times"]
-            table.append(f"| {name} | {errors['mean_relative']:.2%} | {report['noise']['mean_relative']:.2%} | {errors['bias']:+.2%} | "
-                         f"{times['bake']:.1f} s | {times['first_render']:.2f} s | {times['sh']:.2f} s | {times['sh_over_direct']:.1f} |")
+    small = {}
+    if options.quick:
+        options.scene, options.reference_spp, small = ("floor",), 64, {"resx": 32, "resy": 32}
+    (options.out / "panels").mkdir(exist_ok=True)
+    rows = []
     print("| scene | mean relative error | noise of the reference | bias | bake | first render | render | times `direct` |")
     print("|---|---|---|---|---|---|---|---|")
-    print("\n".join(table))
+    with tempfile.TemporaryDirectory() as folder:
+        folder = pathlib.Path(folder)
+        for name in options.scene:
+            scene = mi.load_file(str(scene_file(name, folder)), optimize=False, **small)
+            report = compare(scene, folder, reference_spp=options.reference_spp, title=name)
+            shutil.copy(folder / "panel.png", options.out / "panels" / f"{name}.png")
+            rows.append({**report, "scene": name})
+            errors, times = report["errors"], report["times"]
+            cells = (f"{errors['mean_relative']:.2%}", f"{report['noise']['mean_relative']:.2%}", f"{errors['bias']:+.2%}",
+                     *(f"{times[key]:.2f} s" for key in ("bake", "first_render", "sh")), f"{times['sh_over_direct']:.1f}")
+            print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    lines = [experiment.verdict(f"{row['scene']}: mean relative error at most {LARGEST_ERROR:.1%}", row["errors"]["mean_relative"],
+                                LARGEST_ERROR, text="{:.2%}") for row in rows]
+    experiment.print_targets(lines)
+    experiment.write(options.out / "panels.json", {"targets": lines, "scenes": rows}, options.quick)
 
 
 if __name__ == "__main__":

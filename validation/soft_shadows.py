@@ -1,6 +1,6 @@
 """Claim: transfer fitted to the lights' cone draws soft shadows many times better than transfer projected over the sphere.
 
-    python -m validation.soft_shadows [--only points|pictures] [--out DIR]
+    python -m validation.soft_shadows [--quick] [--out DIR]
 
 writes ``soft_shadows.json`` and ``.png`` (curves) and ``soft_shadows_panel.png``, and prints tables.
 
@@ -15,8 +15,6 @@ is hidden; the last are those of pixels whose path-traced value is less than 0.9
 """
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import pathlib
 import sys
@@ -27,18 +25,18 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 
-import mi_shlight
+import mi_shlight.plugins  # noqa: F401  registers shprt
 from mi_shlight import project_polygon
 from mi_shlight.panel import srgb
 from mi_shlight.scene import aligned, polygon_lights
 from mi_shlight.transfer.localised import ConeFit, cone_fit, sample_transfer
 from mi_shlight.transfer.visibility import BakeLights, LightSight, Occluders
+from validation import experiment
+from validation.experiment import ROOT
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-ROOT = pathlib.Path(__file__).parents[1]
-RESULTS = ROOT / "validation" / "results"
 ORDERS = (2, 4, 6, 8)
 MARGINS = (0, 2, 5, 15, 30)
 """Degrees."""
@@ -61,9 +59,13 @@ class Plan(NamedTuple):
     spp: int = 32
     reference_spp: int = 2048
     picture_rays: int = 512
+    orders: tuple = ORDERS
+    margins: tuple = MARGINS
+    pictures: tuple = ("ball", "plant", "cornell_box")
 
 
-QUICK = Plan(side=12, rays=(64, 256), eps=(1e-4, 1e-7), repeats=2, size=32, spp=4, reference_spp=64, picture_rays=64)
+QUICK = Plan(side=12, rays=(64, 256), eps=(1e-4, 1e-7), repeats=2, size=32, spp=4, reference_spp=64, picture_rays=64, orders=(4, 8),
+             margins=(0, 5), pictures=("ball",))
 
 
 # Points.
@@ -156,7 +158,7 @@ def measure_points(plan: Plan) -> dict:
     report["order and margin"] = [
         {"transfer": PLAIN if margin is None else "localised", "order": order, "margin": margin or 0,
          "error": floor.error(floor.shaded(order, most, length_of(margin or 0, distance), localised=margin is not None))}
-        for margin in (None, *MARGINS) for order in (1, *ORDERS)]
+        for margin in (None, *plan.margins) for order in (1, *plan.orders)]
     report["eps"] = [{"order": order, "rays": rays, "margin": margin, "eps": eps,
                       "error": floor.error(floor.shaded(order, rays, length_of(margin, distance), eps))}
                      for order in (2, 4, 8) for rays in (min(plan.rays[-1], 64), most) for margin in (0, 5) for eps in plan.eps]
@@ -195,7 +197,7 @@ def derivatives(floor: Floor, rays: int, distance: float, h: float = 0.02) -> li
         truth = (exact_radiance(floor.points, ends[0])[0] - exact_radiance(floor.points, ends[1])[0]) / (2 * h)
         for order in (4, 8):
             rate = (floor.light(order, ends[0]) - floor.light(order, ends[1])) / (2 * h)
-            for margin in (None, *MARGINS):
+            for margin in (None, *floor.plan.margins):
                 transfer = floor.transfer(order, rays, length_of(margin or 0, distance), localised=margin is not None)
                 off = ((transfer * rate).sum(axis=1) - truth)[floor.shadow]
                 rows.append({"axis": "xyz"[axis], "order": order, "transfer": PLAIN if margin is None else "localised",
@@ -260,8 +262,8 @@ def measure_picture(name: str, plan: Plan) -> tuple:
     lamp = grey(render(scene, {"type": "path", "max_depth": 1}, plan.spp)) > 0
     noise = errors((parts[0] + parts[1] - parts[2] - parts[3]) / 4 + truth, truth, shadow, lamp)
     rows, shown = [{"scene": name, "transfer": "noise of the reference", "order": 0, "margin": 0, **noise}], {"path": truth}
-    for margin in (None, *MARGINS):
-        for order in ORDERS:
+    for margin in (None, *plan.margins):
+        for order in plan.orders:
             plugin = {"type": "shprt", "order": order, "localised": margin is not None, "transfer_samples": plan.picture_rays,
                       "max_edge": picture.max_edge, "light_margin": length_of(margin or 0, picture.distance)}
             image = render(scene, plugin, plan.spp)
@@ -274,11 +276,11 @@ def measure_picture(name: str, plan: Plan) -> tuple:
 
 
 def plot_curves(report: dict, path: pathlib.Path) -> None:
-    panels = [key for key in ("points", *PICTURES) if key == "points" and "points" in report or key in report.get("pictures", {})]
+    panels = ["points", *report["pictures"]]
     figure, axes = plt.subplots(1, len(panels) + 1, figsize=(3.6 * (len(panels) + 1), 3.4), layout="constrained", squeeze=False)
     for axis, key in zip(axes[0], panels):
         rows, value = (report["points"]["order and margin"], "error") if key == "points" else (report["pictures"][key], "blocks in shadow")
-        for kind, margin in ((PLAIN, 0), *(("localised", margin) for margin in MARGINS)):
+        for kind, margin in dict.fromkeys((row["transfer"], row["margin"]) for row in rows if row["order"]):
             line = [(row["order"], row[value]) for row in rows if (row["transfer"], row["margin"]) == (kind, margin)]
             style = {"color": "black", "linewidth": 2} if kind == PLAIN else {"color": plt.cm.viridis(MARGINS.index(margin) / 4.5)}
             axis.plot(*zip(*line), marker="o", label=PLAIN if kind == PLAIN else f"localised, {margin}°", **style)
@@ -286,13 +288,12 @@ def plot_curves(report: dict, path: pathlib.Path) -> None:
         axis.grid(True, which="both", alpha=0.3)
     axes[0][0].set_ylabel("mean error in shadow, relative")
     axes[0][0].legend(fontsize=7)
-    if "points" in report:
-        for kind, order in ((PLAIN, 8), ("localised", 4), ("localised", 8)):
-            line = [(row["rays"], row["error"]) for row in report["points"]["rays"] if (row["transfer"], row["order"]) == (kind, order)]
-            axes[0][-1].plot(*zip(*line), marker="o", label=f"{kind}, order {order}")
-        axes[0][-1].set(title="floor: rays per point", xlabel="rays", xscale="log", yscale="log")
-        axes[0][-1].grid(True, which="both", alpha=0.3)
-        axes[0][-1].legend(fontsize=7)
+    for kind, order in ((PLAIN, 8), ("localised", 4), ("localised", 8)):
+        line = [(row["rays"], row["error"]) for row in report["points"]["rays"] if (row["transfer"], row["order"]) == (kind, order)]
+        axes[0][-1].plot(*zip(*line), marker="o", label=f"{kind}, order {order}")
+    axes[0][-1].set(title="floor: rays per point", xlabel="rays", xscale="log", yscale="log")
+    axes[0][-1].grid(True, which="both", alpha=0.3)
+    axes[0][-1].legend(fontsize=7)
     figure.savefig(path, dpi=80)
     plt.close(figure)
 
@@ -324,27 +325,32 @@ def table(rows: list) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def targets(report: dict) -> list:
+    """Verdicts on how much better fitted transfer is than projected."""
+    pick = lambda rows, value, **keys: next(row[value] for row in rows if all(row[key] == wanted for key, wanted in keys.items()))
+    gain = lambda rows, value, order: (pick(rows, value, transfer=PLAIN, order=order)
+                                       / pick(rows, value, transfer="localised", order=order, margin=5))
+    return [experiment.verdict("floor under the ball, order 4, margin 5°: error at least 5 times smaller than projected",
+                               gain(report["points"]["order and margin"], "error", 4), 5, at_most=False),
+            *(experiment.verdict(f"{name}, order 8, margin 5°: error of 8 x 8 pixels at least 2.5 times smaller than projected",
+                                 gain(rows, "blocks", 8), 2.5, at_most=False) for name, rows in report["pictures"].items())]
+
+
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=("points", "pictures"))
-    parser.add_argument("--quick", action="store_true", help="small, to see that it works")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(__doc__, arguments)
     mi.set_variant("llvm_ad_rgb")
-    options.out.mkdir(parents=True, exist_ok=True)
-    plan, report, shown = QUICK if options.quick else Plan(), {"version": mi_shlight.__version__}, {}
-    if options.only != "pictures":
-        report["points"] = measure_points(plan)
-        for name, rows in report["points"].items():
-            print(f"\n{name}\n{table(rows)}", flush=True)
-    if options.only != "points":
-        report["pictures"] = {}
-        for name in PICTURES:
-            report["pictures"][name], shown[name] = measure_picture(name, plan)
-            print(f"\n{name}\n{table(report['pictures'][name])}", flush=True)
-        plot_panel(shown, options.out / "soft_shadows_panel.png")
+    plan, report, shown = QUICK if options.quick else Plan(), {"points": {}, "pictures": {}}, {}
+    report["points"] = measure_points(plan)
+    for name, rows in report["points"].items():
+        print(f"\n{name}\n{table(rows)}", flush=True)
+    for name in plan.pictures:
+        report["pictures"][name], shown[name] = measure_picture(name, plan)
+        print(f"\n{name}\n{table(report['pictures'][name])}", flush=True)
+    report = {"targets": targets(report), **report}
+    experiment.print_targets(report["targets"])
+    plot_panel(shown, options.out / "soft_shadows_panel.png")
     plot_curves(report, options.out / "soft_shadows.png")
-    (options.out / "soft_shadows.json").write_text(json.dumps(report, indent=1) + "\n")
+    experiment.write(options.out / "soft_shadows.json", report, options.quick)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Claim: method ``auto`` keeps float32 accurate where the closed forms cancel; how its rule was found, and what it leaves.
 
-    python -m validation.stability [--order N] [--lanes N] [--out DIR]
+    python -m validation.stability [--quick] [--out DIR] [--order N] [--lanes N]
 
 writes ``stability.json`` and ``stability.png``:
 
@@ -17,10 +17,6 @@ The oracle is ``auto`` in float64 of the same float32 vertices: within 1e-9 of 6
 """
 from __future__ import annotations
 
-import argparse
-import json
-import pathlib
-
 import drjit as dr
 import matplotlib
 import numpy as np
@@ -29,11 +25,11 @@ from drjit.llvm.ad import Array3f, Array3f64, Float, Float64
 from mi_shlight.light.polygon import VertexList, interior_direction
 from mi_shlight.light.project import METHODS, MAX_ERROR, project_light
 from mi_shlight.light.quadrature import demand, project_quadrature
+from validation import experiment
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-RESULTS = pathlib.Path(__file__).parent / "results"
 COLOURS = {"auto": "black", "edge": "tab:blue", "recurrence": "tab:orange", "quadrature": "tab:green"}
 BINS = np.array([1, 10, 66, 300, 1e3, 1e4, 1e5, 1e6, 1e8])
 REQUESTED = (1e-3, 4e-6, 1e-10)
@@ -95,8 +91,8 @@ def around_the_border(rng, count: int, corners: int) -> np.ndarray:
 
 
 def light_of(polygons: np.ndarray, kind) -> tuple:
-    number, dtype = (Float, np.float32) if kind is Array3f else (Float64, np.float64)
-    column = lambda k, c: number(np.ascontiguousarray(polygons[:, k, c].astype(dtype)))
+    number = Float if kind is Array3f else Float64
+    column = lambda k, c: number(polygons[:, k, c].tolist())      # not NumPy's memory, whose alignment compiles kernels of its own
     vertices, x = [kind(*(column(k, c) for c in range(3))) for k in range(polygons.shape[1])], kind(0)
     dr.make_opaque(vertices, x)
     return VertexList(vertices), x, interior_direction(vertices, x)
@@ -139,16 +135,18 @@ def node_errors(polygons: np.ndarray, order: int, requested: float) -> dict:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--order", type=int, default=8)
-    parser.add_argument("--lanes", type=int, default=20000, help="random lights per number of corners (default: %(default)s)")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(
+        __doc__, arguments, order={"type": int, "default": 8},
+        lanes={"type": int, "default": 20000, "help": "random lights per number of corners (default: %(default)s)"})
+    sweeps, corners, asked = SWEEPS, (3, 4, 12), REQUESTED
+    if options.quick:
+        options.order, options.lanes, corners, asked = 2, 500, (4,), REQUESTED[:1]
+        sweeps = {name: (generate, values[::4]) for name, (generate, values) in SWEEPS.items() if generate is not slivers}
     rng = np.random.default_rng(1)
     report = {"order": options.order, "max_error": MAX_ERROR[0], "sweeps": {}, "cancellation": {}, "nodes": {}}
     figure, axes = plt.subplots(2, 3, figsize=(15, 8), layout="constrained")
 
-    for (name, (generate, values)), axis in zip(SWEEPS.items(), axes.flat):
+    for (name, (generate, values)), axis in zip(sweeps.items(), axes.flat):
         rows = {method: [] for method in METHODS}
         for value in values:
             for method, error in errors(generate(rng, 1 + options.lanes // 20, value), options.order).items():
@@ -160,7 +158,7 @@ def main(arguments=None) -> None:
         axis.set(xlabel=name, ylabel="largest relative error, float32", ylim=(1e-8, 10))
     axes.flat[0].legend()
 
-    polygons = {n: around_the_border(rng, options.lanes, n) for n in (3, 4, 12)}
+    polygons = {n: around_the_border(rng, options.lanes, n) for n in corners}
     judged = [(cancellation(p, options.order), errors(p, options.order)) for p in polygons.values()]
     ratio = np.concatenate([r for r, _ in judged])
     for method in METHODS:
@@ -169,16 +167,17 @@ def main(arguments=None) -> None:
         for low, high in zip(BINS, BINS[1:]):
             part = error[(ratio >= low) & (ratio < high) & np.isfinite(error)]
             rows.append({"from": low, "to": high, "lights": len(part),
-                         **{f"quantile_{q:g}": float(np.quantile(part, q)) for q in (0.5, 0.99, 1)}})
+                         **{f"quantile_{q:g}": float(np.quantile(part, q)) if len(part) else None for q in (0.5, 0.99, 1)}})
         report["cancellation"][method] = rows
-        centre = [np.sqrt(r["from"] * r["to"]) for r in rows]
-        axes.flat[4].loglog(centre, [r["quantile_0.5"] for r in rows], color=COLOURS[method], lw=3 if method == "auto" else 1.5)
-        axes.flat[4].loglog(centre, [r["quantile_0.99"] for r in rows], color=COLOURS[method], ls="--")
+        filled = [r for r in rows if r["lights"]]
+        centre = [np.sqrt(r["from"] * r["to"]) for r in filled]
+        axes.flat[4].loglog(centre, [r["quantile_0.5"] for r in filled], color=COLOURS[method], lw=3 if method == "auto" else 1.5)
+        axes.flat[4].loglog(centre, [r["quantile_0.99"] for r in filled], color=COLOURS[method], ls="--")
     axes.flat[4].loglog(BINS, 2.0 ** -24 * BINS, color="grey", ls=":")
     axes.flat[4].set(xlabel="perimeter / solid angle, near the border", ylabel="error: median, 99 % (dashed), eps x (dotted)",
                      ylim=(1e-8, 10))
 
-    for requested in REQUESTED:
+    for requested in asked:
         rows = {str(n): node_errors(p, options.order, requested) for n, p in polygons.items()}
         report["nodes"][f"{requested:g}"] = rows
         quantiles = ("quantile_0.5", "quantile_0.99", "quantile_0.999", "quantile_1")
@@ -188,15 +187,18 @@ def main(arguments=None) -> None:
     axes.flat[5].set(xlabel="quantile", ylabel="error of the cubature / error asked for")
     axes.flat[5].legend()
 
-    options.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out / "stability.png", dpi=100)
-    (options.out / "stability.json").write_text(json.dumps(report, indent=1) + "\n")
+    plt.close(figure)
+    report["targets"] = [experiment.verdict(f"auto, float32, over {name}: largest error at most 2e-5", max(sweep["auto"]), 2e-5)
+                         for name, sweep in report["sweeps"].items()]
+    experiment.write(options.out / "stability.json", report, options.quick)
     for name, sweep in report["sweeps"].items():
         print(name, *(f"{method} {max(sweep[method]):.1e}" for method in METHODS), sep="  ")
     for method, rows in report["cancellation"].items():
-        print(method, *(f"{r['from']:g}: {r['quantile_0.5']:.1e} {r['quantile_0.99']:.1e}" for r in rows), sep="  ")
+        print(method, *(f"{r['from']:g}: {r['quantile_0.5']:.1e} {r['quantile_0.99']:.1e}" for r in rows if r["lights"]), sep="  ")
     for requested, rows in report["nodes"].items():
         print("asked", requested, *(f"{n} corners: {r['quantile_0.99']:.1e} {r['quantile_1']:.1e}" for n, r in rows.items()), sep="  ")
+    experiment.print_targets(report["targets"])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Claim: an object that turns keeps its bake; the light is turned into its frame instead ([G03] "Rotating Spherical Harmonics").
 
-    python -m validation.turned_object [--samples N] [--size N] [--out DIR]
+    python -m validation.turned_object [--quick] [--out DIR] [--samples N] [--size N]
 
 writes ``turned_object.json`` and ``turned_object.png``. A knot under a clear sky is baked once, upright. Where it has turned by R, each
 vertex is shaded by its baked transfer and ``rotate(L, R^-1)``. Against that, root of the mean square over the mean radiance:
@@ -13,8 +13,6 @@ vertex is shaded by its baked transfer and ``rotate(L, R^-1)``. Against that, ro
 """
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import pathlib
 import time
@@ -31,12 +29,12 @@ from mi_shlight.environment.probe import latlong  # noqa: E402
 from mi_shlight.environment.sky import cie_sky, project_sky  # noqa: E402
 from mi_shlight.scene import mesh_arrays  # noqa: E402
 from mi_shlight.sh import rotate  # noqa: E402
+from validation import experiment  # noqa: E402
+from validation.experiment import ROOT  # noqa: E402
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-ROOT = pathlib.Path(__file__).parents[1]
-RESULTS = ROOT / "validation" / "results"
 KNOT = ROOT / "scenes" / "meshes" / "sculpture_knot.ply"
 ORDER = 8
 SUN = (-0.5, 0.55, 0.67)
@@ -134,14 +132,25 @@ def draw(panels: list, path: pathlib.Path) -> None:
     plt.close(figure)
 
 
+def targets(report: dict) -> list:
+    """Verdicts on the worst turn."""
+    worst = lambda measure: max(measure(row) for row in report["turns"])
+    return [experiment.verdict(f"one bake for all turns, {report['samples']} rays: off a new bake by at most 0.5 %",
+                               worst(lambda row: row["against_rebake"]), 0.005, text="{:.2%}"),
+            experiment.verdict("error against path tracing at most 1.01 times that of a new bake",
+                               worst(lambda row: row["against_path"] / row["rebake_against_path"]), 1.01, text="{:.4f}")]
+
+
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=4096, help="rays per vertex (default: %(default)s)")
-    parser.add_argument("--size", type=int, default=128, help="pixels (default: %(default)s)")
-    parser.add_argument("--out", type=pathlib.Path, default=RESULTS)
-    options = parser.parse_args(arguments)
+    options = experiment.options(__doc__, arguments,
+                                 samples={"type": int, "default": 4096, "help": "rays per vertex (default: %(default)s)"},
+                                 size={"type": int, "default": 128, "help": "pixels (default: %(default)s)"})
+    if options.quick:
+        options.samples, options.size = 64, 16
     report, panels = measure(options.samples, options.size)
-    (options.out / "turned_object.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+    report = {"targets": targets(report), **report}
+    experiment.print_targets(report["targets"])
+    experiment.write(options.out / "turned_object.json", report, options.quick)
     draw(panels, options.out / "turned_object.png")
 
 

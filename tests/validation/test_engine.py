@@ -195,10 +195,9 @@ def test_first_call_runs_in_a_fresh_process():
 
 def test_whole_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(engine, "QUICK", Plan(orders=(1, 2), edges=(3, 4, 8), distances=(1,), sweep_orders=(2,), first_call_orders=(),
-                                              lights_repeats=0, rounds=1, budget=1e-4))
+                                              lights_repeats=0, rounds=1, monte_carlo_sides=(1, 2), budget=1e-4))
     for module in (engine, engine_report):
         monkeypatch.setattr(module, "STANDARD_ORDER", 2)
-    monkeypatch.setattr(engine, "MONTE_CARLO_SIDES", (1, 2))
     assert engine.main(["--quick", "--out", str(tmp_path)]) == 0
     report = json.loads((tmp_path / "engine.json").read_text())
     assert report["failures"] == [] and report["quick"] is True

@@ -15,8 +15,7 @@ def test_standard_errors():
     assert exact.in_standard_errors(images, np.full((64, 64), 1.1)) == pytest.approx(4.4, rel=0.1)
 
 
-def test_open_floor(monkeypatch):
+def test_open_floor():
     """Nothing is left but noise; without `exact`, at order 2, the same comparison sees the band limit."""
-    monkeypatch.setattr(exact, "ORDERS", (2,))
-    rows = {row["transfer"]: row["standard errors"] for row in exact.measure_floor(8, 16, 1024)}
+    rows = {row["transfer"]: row["standard errors"] for row in exact.measure_floor(8, 16, 1024, (2,))}
     assert rows["exact"] < 1.5 and rows["exact, projected"] < 1.5 and rows["projected"] > 5
