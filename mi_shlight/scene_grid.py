@@ -33,11 +33,14 @@ class SceneGrid:
     max_error : float
         Near and far are told apart by it; 0: everything is far.
     order, method : int, str
+    estimate : bool
+        Estimate the error by interpolation, too, for :py:meth:`error`.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("_lower", "_upper", "_samples", "_cells", "_near"), object)
+    DRJIT_STRUCT = dict.fromkeys(("_lower", "_upper", "_samples", "_cells", "_near", "_error"), object)
 
-    def __init__(self, receivers: list, groups, resolution, interpolation: str, max_error: float, order: int, method: str):
+    def __init__(self, receivers: list, groups, resolution, interpolation: str, max_error: float, order: int, method: str,
+                 estimate: bool = False):
         boxes = [r.shape.bbox() for r in receivers if not r.black]
         lower, upper = (np.array([np.ravel(getattr(box, end)) for box in boxes] or [[0, 0, 0]], float) for end in ("min", "max"))
         lower, upper = lower.min(axis=0), upper.max(axis=0)
@@ -48,7 +51,8 @@ class SceneGrid:
         self._groups, self._resolution, self._interpolation = list(groups), resolution, interpolation
         self._max_error, self._order, self._method = max_error, order, method
         self._cells = None if resolution == "auto" else Cells(self._lower, self._upper, resolution)
-        self._near = self._points = None
+        self._near = self._points = self._error = None
+        self._estimate = estimate
 
     def prepare(self, facets, points: int) -> None:
         """Find out which facets are near to which cells, for a picture of so many points. `facets`: placed, with their radiance.
@@ -61,6 +65,14 @@ class SceneGrid:
             self._points = points
         elif self._cells is not None:
             self._near = NearLists(self._cells, facets, self._groups, self._max_error or None)
+        if self._estimate and self._cells is not None:
+            self._error = self._near.far_error(self._cells, facets)
+
+    def error(self, x):
+        """Estimated error by interpolation at points `x`, in radiance of a white surface; for the lights that were prepared."""
+        if self._cells is None:
+            return mi.Float(0)
+        return dr.gather(mi.Float, self._error, self._cells.locate(array3(mi.Float)(x))[0])
 
     @property
     def prepared(self) -> bool:

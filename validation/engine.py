@@ -221,11 +221,12 @@ def cubature_points(order: int, corners: np.ndarray, points: np.ndarray) -> floa
 
 def measure_table(record: Record, plan: Plan) -> None:
     for edges in plan.edges:
+        orders = [order for order in plan.orders if edges in plan.edges_of(order)]
         corners = ellipse(edges)
         base = points_around(corners, DISTANCE)
         rounded = corners.astype(np.float32).astype(np.float64)
-        exact = np.array([reference.coefficients_quadrature(rounded, x, max(plan.orders), n=12) for x in base[:ERROR_POINTS]])
-        for order in plan.orders:
+        exact = np.array([reference.coefficients_quadrature(rounded, x, max(orders), n=12) for x in base[:ERROR_POINTS]])
+        for order in orders:
             what = f"order {order}, {edges} edges"
             print(f"table: {what}", file=sys.stderr, flush=True)
             for method in methods_of(order):

@@ -59,7 +59,7 @@ def measure_pictures(size: int = 128, reference_spp: int = 8192, orders=ORDERS, 
         lamp = grey(render(scene, {"type": "path", "max_depth": 1}, 64)) > 0
         for order in orders:
             for kind, parameters in KINDS.items():
-                image = render(scene, {"type": "shprt", "order": order, "max_edge": picture.max_edge, **parameters}, 256)
+                image = render(scene, {"type": "shprt", "order": order, "max_edge": picture.max_edge, **parameters}, 128)
                 rows.append({"scene": name, "order": order, "transfer": kind, **errors(image, truth, shadow, lamp)})
                 print(rows[-1], file=sys.stderr, flush=True)
     return rows

@@ -128,15 +128,15 @@ def deviation(image, theory: float, mask) -> dict:
     return {"mean": float(relative.mean()), "rms": float(np.sqrt((relative ** 2).mean())), "max": float(abs(relative).max())}
 
 
-def measure(size: int, spp: int, samples, reflectances) -> tuple:
-    """Rows, and pictures with their theory."""
+def measure(size: int, spp: int, samples, reflectances, **settings) -> tuple:
+    """Rows, and pictures with their theory; `settings` of ``shprt``."""
     rows, pictures = [], {}
     for name, what in white_furnaces(size).items():
         mask = shaded_pixels(what)
-        direct = render(what, spp, samples[-1], transfer="shadowed")
+        direct = render(what, spp, samples[-1], transfer="shadowed", **settings)
         for rays in samples:
             for kind in ("gather", "transfer") if rays == samples[0] else ("gather",):
-                image = render(what, spp, rays, transfer="interreflected", bounce_lighting=kind, localised=False)
+                image = render(what, spp, rays, transfer="interreflected", bounce_lighting=kind, localised=False, **settings)
                 rows.append({"scene": name, "lighting": kind, "rays": rays[0], **deviation(image, 1, mask),
                              "direct": deviation(direct, 1, mask)["mean"]})
                 print(rows[-1], file=sys.stderr, flush=True)
@@ -145,18 +145,19 @@ def measure(size: int, spp: int, samples, reflectances) -> tuple:
         what, rays = emitting_room(size, rho), samples[len(samples) // 2]
         every = np.ones((size, size), bool)
         for bounces, theory in ((1, 1 + rho + rho ** 2), (0, 1 / (1 - rho))):
-            image = render(what, spp, rays, transfer="interreflected", bounces=bounces)
+            image = render(what, spp, rays, transfer="interreflected", bounces=bounces, **settings)
             rows.append({"scene": f"emitting room, rho {rho}, bounces {bounces or 'all'}", "lighting": "gather", "rays": rays[0],
                          **deviation(image, theory, every)})
             print(rows[-1], file=sys.stderr, flush=True)
     for rho in reflectances:
         what = integrating_sphere(size, rho)
         mask = shaded_pixels(what)
-        image = render(what, spp, rays, transfer="interreflected") - render(what, spp, rays, transfer="shadowed")
+        every, direct = (render(what, spp, rays, transfer=kind, **settings) for kind in ("interreflected", "shadowed"))
         area = next(float(shape.surface_area()[0]) for shape in what.shapes() if not shape.is_emitter())
         share = 2 * LAMP ** 2 / area
         theory = rho * share * rho * (1 - share) / (1 - rho * (1 - share))
-        rows.append({"scene": f"integrating sphere, rho {rho}", "lighting": "gather", "rays": rays[0], **deviation(image, theory, mask)})
+        rows.append({"scene": f"integrating sphere, rho {rho}", "lighting": "gather", "rays": rays[0],
+                     **deviation(every - direct, theory, mask)})
         print(rows[-1], file=sys.stderr, flush=True)
     return rows, pictures
 
@@ -190,8 +191,10 @@ def main(arguments=None) -> None:
     options = experiment.options(__doc__, arguments)
     mi.set_variant("llvm_ad_rgb")
     warnings.simplefilter("ignore", UnsupportedSceneWarning)
-    size, spp, samples, reflectances = (16, 4, SAMPLES[:1], REFLECTANCES[:1]) if options.quick else (64, 16, SAMPLES, REFLECTANCES)
-    rows, pictures = measure(size, spp, samples, reflectances)
+    if options.quick:
+        samples, (rows, pictures) = SAMPLES[:1], measure(12, 4, SAMPLES[:1], REFLECTANCES[:1], order=2, max_edge=0.5)
+    else:
+        samples, (rows, pictures) = SAMPLES, measure(64, 16, SAMPLES, REFLECTANCES)
     lines = targets(rows, samples[len(samples) // 2][0])
     print("| scene | lighting | rays | mean | rms | max | direct alone |\n|---|---|---|---|---|---|---|")
     for row in rows:

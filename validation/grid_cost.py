@@ -45,7 +45,7 @@ class Plan(NamedTuple):
     """Vertices of a scene at which the exact values are found and timed."""
     w18_subset: int = 1 << 11
     """The same for all coefficients by the recurrence."""
-    rounds: int = 5
+    rounds: int = 3
     samples: tuple = (5, 10, 20, 40, 80, 160)
     light_counts: tuple = (1, 2, 8, 32, 72, 128, 288, 512)
     resolutions: tuple = (4, 6, 8, 12, 16, 24, 32)
@@ -60,9 +60,8 @@ class Plan(NamedTuple):
     """Resolutions."""
 
 
-QUICK = Plan(scale=0.02, scenes=("Monkey", "Plants", "Buddha"), subset=1 << 11, w18_subset=1 << 8, rounds=1, samples=(5, 10, 20, 40),
-             light_counts=(1, 8, 128), resolutions=(4, 8, 12), sweep_points=1 << 11, shared_points=1 << 10, moving_points=10_000, frames=3,
-             picture=64, pictured=(4, 8))
+QUICK = Plan(scale=0.01, scenes=("Plants",), subset=256, w18_subset=32, rounds=1, samples=(5, 10, 20, 40), light_counts=(1, 8),
+             resolutions=(4,), sweep_points=256, shared_side=4, shared_points=64, moving_points=256, frames=1, picture=32, pictured=(4,))
 
 
 class Receivers(NamedTuple):

@@ -22,10 +22,13 @@ SIZE, SPP, CHECKED, STEP, GREY = 96, 2, (0.01, 0.42, 0.9), 0.5, 2.0
 RATE = 0.3
 
 
-def measure(steps: int, size: int, every: int = 1) -> tuple:
-    """(record, pictures): start, result and target as arrays of linear colours; the colours of one in `every` lights are unknown."""
+def measure(steps: int, size: int, every: int = 1, **settings) -> tuple:
+    """(record, pictures): start, result and target as arrays of linear colours; the colours of one in `every` lights are unknown.
+
+    `settings` of ``shprt``.
+    """
     scene = mi.load_file(str(experiment.ROOT / "scenes" / "many_lights.xml"), optimize=False, resx=size, resy=size)
-    settings = {"type": "shprt", "transfer_samples": 256}
+    settings = {"type": "shprt", "transfer_samples": 256, **settings}
     exact, plugin = mi.load_dict(settings), mi.load_dict({**settings, "grid_resolution": 8})
     target = mi.render(scene, integrator=exact, spp=SPP, seed=0)
     parameters = mi.traverse(scene)
@@ -107,7 +110,7 @@ def targets(record: dict) -> list:
 def main(arguments=None) -> None:
     options = experiment.options(__doc__, arguments, steps={"type": int, "default": 60, "help": "of Adam (default: %(default)s)"})
     mi.set_variant("llvm_ad_rgb")
-    record, pictures = measure(*((1, 16, 60) if options.quick else (options.steps, SIZE)))
+    record, pictures = measure(1, 16, 60, order=2, transfer="unshadowed") if options.quick else measure(options.steps, SIZE)
     print(json.dumps(record, indent=1))
     record = {"targets": targets(record), **record}
     experiment.print_targets(record["targets"])

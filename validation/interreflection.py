@@ -50,6 +50,7 @@ SAMPLES = (16, 64, 256, 1024)
 EDGES = (0.4, 0.2, 0.1, 0.05)
 HEIGHTS = (2, 4, 8, 16, 32)
 SHOWN_ORDER = 8
+QUICK = {"max_edge": 0.5, "transfer_samples": 64, "bounce_samples": 32}
 PARTS = ("orders", "bounces", "samples", "edges", "lighting")
 TARGETS = (("error of the converged picture, order 8", 0.04), ("error of the light of all bounces, order 8", 0.04),
            ("gather and transfer under an environment", 1e-4))
@@ -72,10 +73,10 @@ def picture(scene, plugin, spp: int, seed: int = 0) -> np.ndarray:
 
 
 class Box:
-    """The Cornell box with its references."""
+    """The Cornell box with its references; `settings` of all integrators that render it."""
 
-    def __init__(self, size: int, reference_spp: int, spp: int, folder: pathlib.Path | None):
-        self.scene, self.spp = box(size), spp
+    def __init__(self, size: int, reference_spp: int, spp: int, folder: pathlib.Path | None, **settings):
+        self.scene, self.spp, self.settings = box(size), spp, settings
         self.mask = shaded_pixels(self.scene)
         self.truth = {bounces: self._reference(depth, size, reference_spp, folder) for bounces, depth in DEPTHS.items()}
 
@@ -90,7 +91,7 @@ class Box:
         return image
 
     def render(self, bounces, **parameters) -> np.ndarray:
-        return picture(self.scene, integrator(bounces, **parameters), self.spp)
+        return picture(self.scene, integrator(bounces, **self.settings, **parameters), self.spp)
 
     def errors(self, image, bounces) -> dict:
         return image_errors(image, self.truth[bounces], self.mask)
@@ -286,8 +287,8 @@ def main(arguments=None) -> None:
         references={"type": pathlib.Path, "help": "folder that keeps the path-traced pictures"})
     mi.set_variant("llvm_ad_rgb")
     warnings.simplefilter("ignore", UnsupportedSceneWarning)
-    size, reference_spp, spp = (24, 64, 4) if options.quick else (96, 4096, 64)
-    cornell, path = Box(size, reference_spp, spp, options.references), options.out / "interreflection.json"
+    size, reference_spp, spp, settings = (24, 64, 4, QUICK) if options.quick else (96, 4096, 64, {})
+    cornell, path = Box(size, reference_spp, spp, options.references, **settings), options.out / "interreflection.json"
     report = json.loads(path.read_text()) if set(options.only) != set(PARTS) and path.exists() else {}
     take = lambda values: values[:1] if options.quick else values
     for part in options.only:

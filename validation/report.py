@@ -6,7 +6,6 @@ went. Pictures are shrunk so far that the file stays below `LIMIT`; the original
 from __future__ import annotations
 
 import base64
-import importlib.util
 import io
 import json
 import math
@@ -17,6 +16,7 @@ from html import escape
 from PIL import Image
 
 from mi_shlight.files import replacing
+from validation import papers
 from validation.experiment import VERDICT
 from validation.experiments import EXPERIMENTS, GROUPS, Experiment
 
@@ -33,6 +33,9 @@ NOT_TABLES = ("versions", "quick", "targets", "failures", "runs")
 CHANGING = ("date", "load", "threads")
 """Of the versions: what differs from run to run on one machine."""
 
+SOURCES = ("[W18] Wang, Ramamoorthi, <i>Analytic Spherical Harmonic Coefficients for Polygonal Area Lights</i>, 2018. [W20] Wu, Cai, Zhao, "
+           "Ramamoorthi, <i>Analytic Spherical Harmonic Gradients for Real-Time Rendering with Many Polygonal Area Lights</i>, 2020. "
+           "[G03] Green, <i>Spherical Harmonic Lighting: The Gritty Details</i>, 2003.")
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1f24; --soft: #5b6570; --line: #d5dae0; --paper: #fff; --tint: #f4f6f8;
   --good: #137333; --bad: #b3261e; --link: #0b57d0; }
@@ -145,7 +148,8 @@ class Report:
                  "<code>python -m validation.NAME</code>.</p>",
                  f"<p>{chips(lines)}. " + (f"<span class='failed'>{len(failed)} experiments without a sound result: "
                                            f"{', '.join(link(name) for name in failed)}.</span>" if failed else "No experiment failed.")
-                 + " A target that is missed is a result, and stays.</p>"]
+                 + " A target that is missed is a result, and stays.</p>",
+                 f"<p class='soft'>{SOURCES}</p>"]
         if quick:
             parts.append("<p class='box'><strong>Quick runs</strong> try everything at tiny sizes; their figures and verdicts mean little: "
                          f"{'all' if len(quick) == len(EXPERIMENTS) else ', '.join(link(name) for name in quick)}.</p>")
@@ -214,13 +218,13 @@ class Report:
 
     def _papers(self) -> str:
         rows = []
-        papers = importlib.util.find_spec("validation.papers")     # TODO
-        for row in importlib.import_module("validation.papers").rows(self.folder) if papers else []:
+        for row in papers.rows(self.folder):
             pictures = ", ".join(f"<a href='#{anchor(name)}'>{escape(name)}</a>" if (self.folder / name).is_file() else escape(name)
                                  for name in row["pictures"])
-            state = {"yes": "met", "no": "missed"}.get(row["reproduced"], "")
+            state = "met" if row["reproduced"] == "yes" else ""
+            command = f"<code>{escape(row['command'])}</code><br>" if row["command"] else ""
             rows.append(f"<tr><td>{escape(row['paper'])}</td><td>{escape(row['item'])}</td><td>{escape(row['shows'])}</td>"
-                        f"<td><code>{escape(row['command'])}</code><br>{pictures}</td><td class='{state}'>{escape(row['reproduced'])}</td>"
+                        f"<td>{command}{pictures}</td><td class='{state}'>{escape(row['reproduced'])}</td>"
                         f"<td>{escape(row['verdict'])}</td></tr>")
         head = "<tr><th>paper</th><th>item</th><th>shows</th><th>command, our figure</th><th>reproduced</th><th>verdict</th></tr>"
         return f"<h2 id='papers'>The papers, figure by figure</h2><div class='scroll'><table>{head}{''.join(rows)}</table></div>"

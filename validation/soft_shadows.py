@@ -37,7 +37,7 @@ from validation.experiment import ROOT
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-ORDERS = (2, 4, 6, 8)
+ORDERS = (2, 4, 8)
 MARGINS = (0, 2, 5, 15, 30)
 """Degrees."""
 PLAIN = "projected"
@@ -52,7 +52,7 @@ class Plan(NamedTuple):
     side: int = 48
     """Points along a side of the floor's middle."""
     rays: tuple = (16, 64, 256, 1024, 4096)
-    eps: tuple = (1e-2, 1e-4, 1e-6, 1e-7, 1e-8, 1e-9)
+    eps: tuple = (1e-2, 1e-4, 1e-6, 1e-8)
     repeats: int = 8
     size: int = 128
     """Pixels along a side."""

@@ -44,7 +44,6 @@ from mi_shlight.light.polygon import VertexList
 from mi_shlight.light.project import METHODS, default_error, prefers_cubature
 from tests import reference
 from validation import experiment
-from validation.engine_report import VERDICT, verdict
 from validation.gradients import PRECISIONS, coefficients, corners_of, vertex_gradients
 from validation.stability import rotations
 
@@ -266,23 +265,24 @@ def rows_of(families: dict, results: list) -> list:
 
 def targets(rows: list, results: list, limits: list) -> list:
     """Verdicts on what :py:func:`rows_of` and :py:func:`measure_limits` gave."""
+    at_most = lambda target, value, limit: experiment.verdict(f"{target}: at most {limit:.3g}", value, limit)
     lines = []
     for precision, order in dict.fromkeys((maps.precision, maps.order) for maps in results):
         label, here = f"{precision}, order {order}", [row for row in rows if (row["precision"], row["order"]) == (precision, order)]
         auto = [row for row in here if row["method"] == "auto" and row["quantity"] == "coefficients"]
         far = [row["max_from_one_size"] for row in auto if row["max_from_one_size"] is not None]
         accurate, maps = ACCURATE[precision], [maps for maps in results if (maps.precision, maps.order) == (precision, order)]
-        lines += [verdict(f"{label}: error of auto from one size away, at any angle, width and scale", max(far), accurate),
-                  verdict(f"{label}: error of auto everywhere", max(row["max"] for row in auto), accurate),
-                  verdict(f"{label}: share of lights of a family for which auto chose badly", max(m.regret for m in maps), REGRET),
-                  verdict(f"{label}: absolute error of edge / (eps sum 2 tan(T / 2))", max(m.law for m in maps), LAW(order))]
+        lines += [at_most(f"{label}, error of auto from one size away, at any angle, width and scale", max(far), accurate),
+                  at_most(f"{label}, error of auto everywhere", max(row["max"] for row in auto), accurate),
+                  at_most(f"{label}, share of lights of a family for which auto chose badly", max(m.regret for m in maps), REGRET),
+                  at_most(f"{label}, absolute error of edge / (eps sum 2 tan(T / 2))", max(m.law for m in maps), LAW(order))]
         slopes = [row["max"] for row in here if row["quantity"] == "derivatives" and row["method"] != "recurrence"]
         if slopes:
-            lines.append(verdict(f"{label}: error of vertex derivatives by auto, edge and quadrature, everywhere", max(slopes),
+            lines.append(at_most(f"{label}, error of vertex derivatives by auto, edge and quadrature, everywhere", max(slopes),
                                  ACCURATE_SLOPES[precision]))
     angle = max(row["solid_angle"] for row in limits)
-    return lines + [verdict("lights with a result that is not finite", sum(row["not_finite"] for row in rows + limits), 0),
-                    verdict("exactly in the plane: largest solid angle / (2 pi)", angle / (2 * np.pi), 1 + 1e-6)]
+    return lines + [at_most("lights with a result that is not finite", sum(row["not_finite"] for row in rows + limits), 0),
+                    at_most("exactly in the plane, largest solid angle / (2 pi)", angle / (2 * np.pi), 1 + 1e-6)]
 
 
 def decibels(lights: np.ndarray) -> list:
@@ -327,9 +327,7 @@ def print_report(rows: list, results: list, limits: list, lines: list) -> None:
     print("\nExactly in the plane: largest solid angle, lights not finite")
     for row in limits:
         print(f"{row['point']:22s} {row['precision']} {row['method']:10s} {row['solid_angle']:8.4f} {row['not_finite']:3d}")
-    print("\nTargets")
-    for line in lines:
-        print(f"{VERDICT[line['met']]:6s} {line['target']}, at most {line['limit']:.3g}: {line['measured']}")
+    experiment.print_targets(lines)
 
 
 def main(arguments=None) -> int:

@@ -61,9 +61,8 @@ class NearLists:
 
     def __init__(self, cells, table, groups: list, max_error):
         index, facets, count = type(table.first_edge), table.count, cells.cell_count
-        if max_error is not None and count * facets > MAX_PAIRS:
-            raise ValueError(message("light grid", "resolution", f"leave at most {MAX_PAIRS} pairs of cells and polygons", cells.resolution,
-                                     f"With {facets} polygons there are {count * facets}. Choose a coarser grid."))
+        if max_error is not None:
+            _check_pairs(cells, facets)
         self.group_count = len(groups) - 1
         group_of = index(np.repeat(np.arange(self.group_count), np.diff(groups)).tolist())
         self.facets, cell = dr.arange(index, facets), dr.full(index, count, facets)
@@ -92,13 +91,34 @@ class NearLists:
         cell = cells.locate(x)[0]
         return dr.mean(type(x[0])(self.range(cell, self.group_count - 1)[1] - self.range(cell, 0)[0]))[0]
 
+    def far_error(self, cells, table):
+        """Estimated error of what is interpolated, of all groups together, in each cell: of the radiance that a diffuse white surface
+        sends, root mean square over the cell, ``hermite``. 0 in the last entry, which stands for all points outside.
+        """
+        _check_pairs(cells, table.count)
+        error, _, _, seen = _estimates(cells, table)
+        error = dr.minimum(error, seen / dr.pi)       # what touches a cell errs by all of it at most
+        if self.flags is not None:
+            error = dr.select(self.flags, 0, error)
+        total = dr.concat([dr.block_sum(error, table.count), dr.zeros(type(error), 1)])
+        dr.eval(total)
+        return total
+
     def range(self, cell, group) -> tuple:
         """Bounds in `facets` of the list of a cell and group."""
         return tuple(dr.gather(type(self.bounds), self.bounds, cell * self.group_count + group + k) for k in (0, 1))
 
 
-def _near(cells, table, max_error: float):
-    """Mask for each (cell, facet), flat."""
+def _check_pairs(cells, facets: int) -> None:
+    if cells.cell_count * facets > MAX_PAIRS:
+        raise ValueError(message("light grid", "resolution", f"leave at most {MAX_PAIRS} pairs of cells and polygons", cells.resolution,
+                                 f"With {facets} polygons there are {cells.cell_count * facets}. Choose a coarser grid."))
+
+
+def _estimates(cells, table) -> tuple:
+    """For each (cell, facet), flat: error by interpolation; what the middle of the cell gets, if it faces the facet; mask of the facets
+    that touch the cell; and the most that a point there gets.
+    """
     index, facets = type(table.first_edge), table.count
     measure = _measure(table)
     i = dr.arange(index, cells.cell_count * facets)
@@ -117,16 +137,26 @@ def _near(cells, table, max_error: float):
     smooth = SMOOTH * dr.minimum((height + extent) / distance, 1) * dr.square(dr.square(ratio))
     kink = dr.select(abs(height) < extent * (1 + 1e-3), KINK * extent / size * ratio, 0)
     lights = (height + extent * (1 + 1e-3) > 0) & (power > 0)
-    error = dr.select(lights & ~touching, seen * (smooth + kink), 0)
+    error = dr.select(lights, seen * (smooth + kink), 0)
     light = dr.select(touching, seen, seen * dr.clip(height / distance, 0, 1))
-    dr.eval(error, lights, touching, light)
+    touching &= lights
+    dr.eval(error, light, touching, seen)
+    return error, light, touching, seen
+
+
+def _near(cells, table, max_error: float):
+    """Mask for each (cell, facet), flat."""
+    error, light, touching, _ = _estimates(cells, table)
+    index, facets = type(table.first_edge), table.count
+    cell, error = dr.arange(index, cells.cell_count * facets) // facets, dr.select(touching, 0, error)
+    dr.eval(cell, error)
     allowed = max_error / dr.pi * dr.block_sum(light, facets)
     limit = dr.full(type(light), dr.inf, cells.cell_count)
     for step in range(math.ceil(math.log2(facets)) + 1):        # errors add up: those of the pieces of a light have the same sign
         within = dr.select(error <= dr.gather(type(limit), limit, cell), error, 0)
         limit = dr.select(dr.block_sum(within, facets) <= allowed, limit, allowed * 2.0 ** -step)
         dr.eval(limit)
-    return lights & (touching | (error > dr.gather(type(limit), limit, cell)))
+    return touching | (error > dr.gather(type(limit), limit, cell))
 
 
 def _measure(table) -> tuple:

@@ -65,13 +65,17 @@ class Bounces:
                 if self.transfer is None or not dr.all(reflectance == self._reflectance):
                     self.transfer, self._reflectance = self._interreflected(reflectance), reflectance
 
-    def picture(self, lighting) -> "BouncedLight":
-        """Bounced light for the lights, of class `Lighting`, and reflectances as they are now."""
+    def picture(self, lighting, direct=None) -> "BouncedLight":
+        """Bounced light for the lights, of class `Lighting`, and reflectances as they are now.
+
+        `direct(points, transfer)`: what reaches the baked points, in place of ``lighting.white``; not negative.
+        """
         if self._settings.bounce_lighting == "transfer":
             self.prepare()
             return BouncedLight(self, None, None)
         reflectance = self._at_rows(self._reflecting)
-        direct = self._at_rows(lambda rows, wavelengths: self._direct(lighting, rows, wavelengths))
+        arriving = direct or lighting.white
+        direct = self._at_rows(lambda rows, wavelengths: self._direct(arriving, rows, wavelengths))
         bounced = self._solve(direct, reflectance, self.channels)
         sent = None
         if not self.state.all_baked:                  # others are one bounce further on
@@ -93,10 +97,10 @@ class Bounces:
     def _reflecting(self, rows, wavelengths):
         return self._points.reflectance(rows, wavelengths, self.state.gloss and self.state.gloss.share)
 
-    def _direct(self, lighting, rows, wavelengths):
+    def _direct(self, arriving, rows, wavelengths):
         p, n = (dr.gather(type(v), dr.ravel(v), rows) for v in (self._points.positions, self._points.normals))
         points = Points(p, n, wavelengths, mi.Bool(True))
-        return lighting.white(points, BakedTransfer(self.state.lookup, [rows], [mi.Float(1)], True, self._settings.order))
+        return arriving(points, BakedTransfer(self.state.lookup, [rows], [mi.Float(1)], True, self._settings.order))
 
     def _solve(self, direct, reflectance, channels: int):
         frozen = dr.flag(dr.JitFlag.FreezingScope)    # nothing can be measured there

@@ -93,6 +93,16 @@ class DistantLights:
         between = lambda i, k, at: dr.lerp(*(dr.gather(mi.Float, self._table, i * row + k + j) for j in (0, 1)), at - mi.Float(k))
         return [self.spectrum(*(between(i, k, at) for k, at in nodes)) for i in range(count)]
 
+    def remainder(self):
+        """L2 norm over the sphere of what the coefficients leave of the light at an infinite distance; spectrum, not in spectral variants.
+
+        Of an attached copy only. Rather too large, as between its pixels a map is taken to be as uneven as they are.
+        """
+        if self._map is None:
+            return self.spectrum(0)
+        coeffs = [dr.gather(self.spectrum, self._table, i) for i in range((self.order + 1) ** 2)]
+        return dr.sqrt(dr.maximum(self._map.energy() - sum((dr.square(c) for c in coeffs), self.spectrum(0)), 0))
+
     def delta_irradiance(self, p, n, wavelengths, active, shadows: bool = True):
         """Radiance that a white diffuse surface sends for light from emitters without an extent; spectrum.
 
@@ -158,10 +168,7 @@ class MapProjection:
 
     def project(self):
         """Coefficients in the world's axes as one flat buffer: for each of them its channels, or its `SPECTRAL_NODES` wavelengths."""
-        m = dr.detach(self._emitter.world_transform())
-        pole, start = ((0, 1, 0), (0, 0, -1)) if self._pixels else ((0, 0, 1), (1, 0, 0))
-        n, s = m @ mi.Vector3f(pole), m @ mi.Vector3f(start)
-        t = dr.cross(n, s)                            # the columns' places are symmetric: a mirrored map meets them in another order
+        s, t, n = self._axes()
         waves = self._waves(s, t, n)
         count, channels, packs = (self._order + 1) ** 2, self._channels, self._packs
         slices = self._rows * self._parts
@@ -179,6 +186,31 @@ class MapProjection:
                               max_iterations=-1)[1]
         alpha, beta, gamma = (dr.atan2(sin, cos) for cos, sin in euler_angles(n, s))
         return self._about_z(self._quarter(self._about_z(self._quarter(self._about_z(local, gamma), 0), beta), 1), alpha)
+
+    def energy(self):
+        """Integral of the square over the sphere, where a bilinear map has less than this: the same sum over the squares of its pixels."""
+        lane, (s, t, n) = dr.arange(mi.UInt32, self._rows * self._columns), self._axes()
+        row = lane // self._columns
+        (sin, cos), (sin_phi, cos_phi) = self._colatitude(row), self._azimuth(lane % self._columns)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = -(sin * cos_phi * s + sin * sin_phi * t + cos * n)
+        radiance = mi.unpolarized_spectrum(self._emitter.eval(si))
+        weight = dr.gather(mi.Float, self._weights, row) * math.sqrt(4 * math.pi)         # those of degree 0
+        return type(radiance)(*(dr.sum(c * c * weight) for c in radiance))
+
+    def _axes(self) -> tuple:
+        """The map's axes in the world: where its columns begin, a quarter of a turn on, and the pole."""
+        m = dr.detach(self._emitter.world_transform())
+        pole, start = ((0, 1, 0), (0, 0, -1)) if self._pixels else ((0, 0, 1), (1, 0, 0))
+        n, s = m @ mi.Vector3f(pole), m @ mi.Vector3f(start)
+        return s, dr.cross(n, s), n                   # the columns' places are symmetric: a mirrored map meets them in another order
+
+    def _colatitude(self, row) -> tuple:
+        """Sine and cosine of a row's angle to the pole."""
+        return dr.sincos(dr.clip(mi.Float(row) * (math.pi / (self._rows - 1)), 1e-4, math.pi - 1e-4))     # poles have no azimuth
+
+    def _azimuth(self, column) -> tuple:
+        return dr.sincos((mi.Float(column) + 0.5) * (2 * math.pi / self._columns))
 
     def _about_z(self, coeffs, angle):
         """Flat coefficients turned about z. They are lanes here, where rotate_frame has values: compiled at once at any order."""
@@ -211,14 +243,12 @@ class MapProjection:
         order, channels, slices = self._order, self._channels, self._rows * self._parts
         lane = dr.arange(mi.UInt32, self._packs * slices)
         piece = lane % slices
-        theta = mi.Float(piece // self._parts) * (math.pi / (self._rows - 1))
-        theta = dr.clip(theta, 1e-4, math.pi - 1e-4)                      # poles have no azimuth
-        sin, cos = dr.sincos(theta)
+        sin, cos = self._colatitude(piece // self._parts)
         length = -(-self._columns // self._parts)
         column = (piece % self._parts) * length
 
         def body(k, total):
-            sin_phi, cos_phi = dr.sincos((mi.Float(column + k) + 0.5) * (2 * math.pi / self._columns))
+            sin_phi, cos_phi = self._azimuth(column + k)
             si = dr.zeros(mi.SurfaceInteraction3f)
             si.wi = -(sin * cos_phi * s + sin * sin_phi * t + cos * n)
             if mi.is_spectral:

@@ -1,9 +1,12 @@
 """Transfer at surface points: interpolated from what was baked, or by rays."""
 from __future__ import annotations
 
-import drjit as dr
+import math
 
-from ..transfer.localised import sample_transfer
+import drjit as dr
+import mitsuba as mi
+
+from ..transfer.localised import Quality, sample_transfer
 from ..transfer.visibility import LightSight, SkySight
 
 
@@ -28,6 +31,10 @@ class BakedTransfer:
         """
         visible = self._lookup.visibility(*self._at, g) if self._lookup.kind == "exact" and lights else None
         return self._lookup.coefficients(*self._at, g, self._order), visible
+
+    def quality(self, g, lights) -> Quality:
+        """What is known about the errors of the transfer from a light group."""
+        return self._lookup.quality(*self._at, g)
 
 
 class HitTransfer:
@@ -65,12 +72,26 @@ class HitTransfer:
         coeffs, visible = self._baked(g, lights) if self._baked else (None, None)
         if not self._rays:
             return coeffs, visible
-        sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)
-        kind = "shadowed" if self._kind == "exact" and not lights else self._kind
-        found = sample_transfer(sight, self._p, self._n, self._order, self._samples, self._shift, self._traced, kind=kind,
-                                fit=self._fit if lights else None)
-        traced_visible = found.visibility if kind == "exact" else None
+        found = self._trace(lights)
+        traced_visible = found.visibility if self._kind == "exact" and lights else None
         if not self._baked:
             return found.coeffs, traced_visible
         coeffs = [dr.select(self._traced, t, c) for t, c in zip(found.coeffs, coeffs)]
         return coeffs, None if visible is None else dr.select(self._traced, traced_visible, visible)
+
+    def quality(self, g, lights) -> Quality:
+        """As :py:meth:`BakedTransfer.quality`. Traces the rays once more."""
+        baked = self._baked.quality(g, lights) if self._baked else None
+        if not self._rays:
+            return baked
+        found = self._trace(lights)
+        cut = dr.select(found.angle < math.pi - 1e-3, 0, found.visibility)
+        traced = Quality(found.visibility, dr.sqrt(found.residual), cut, found.axis, found.angle, dr.sqrt(found.variance), mi.Float(0),
+                         mi.Float(self._samples))
+        return traced if baked is None else Quality(*(dr.select(self._traced, t, b) for t, b in zip(traced, baked)))
+
+    def _trace(self, lights):
+        sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)
+        kind = "shadowed" if self._kind == "exact" and not lights else self._kind
+        return sample_transfer(sight, self._p, self._n, self._order, self._samples, self._shift, self._traced, kind=kind,
+                               fit=self._fit if lights else None)

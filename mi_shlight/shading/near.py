@@ -39,7 +39,7 @@ class NearLights:
     def __init__(self, state, table, nodes, order: int, method: str):
         self._state, self._table, self._nodes = state, table, nodes
         self._order, self._method = order, method if nodes is None else nodes.method
-        self._spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
+        self.spectrum = type(mi.unpolarized_spectrum(mi.Spectrum(0)))
 
     def shadowed(self, points: Points, transfer_of, exact: bool = False):
         """``sum_k L_k sum_lm T_lm L_lm`` over all lights: with transfer of diffuse reflection, what a white surface would send; spectrum.
@@ -67,7 +67,7 @@ class NearLights:
         to degree `order`. It carries no derivatives.
         """
         state, table, nodes, lit, wavelengths = self._state, self._table, self._nodes, points.active, points.wavelengths
-        count, channels = (self._order + 1) ** 2, len(weigh(self._spectrum(0)))
+        count, channels = (self._order + 1) ** 2, len(weigh(self.spectrum(0)))
         zeros = lambda size: [[mi.Float(0) for _ in range(size)] for _ in range(channels)]
         nothing, size = lambda: zeros(count), count if order is None else (order + 1) ** 2
         if table is None:
@@ -111,7 +111,7 @@ class NearLights:
         All are given the normal, too: only unshadowed transfer follows it, and only from a loop's state come derivatives.
         """
         state, table, nodes, lit = self._state, self._table, self._nodes, points.active
-        wavelengths, Spectrum = points.wavelengths, self._spectrum
+        wavelengths, Spectrum = points.wavelengths, self.spectrum
         if table is None:
             return Spectrum(0), []
         meshes = table.mesh_light(wavelengths) if len(table.meshes) and nodes is None else None
@@ -157,12 +157,12 @@ class NearLights:
             part = sum((dr.select(g == i, part, 0) for i, part in enumerate(seen)), mi.Float(0))
             return g + 1, total + self._each(facet, first, last, x, n, part), seen, x, n
 
-        start = mi.UInt32(0), self._spectrum(0), seen, mi.Point3f(points.p), mi.Normal3f(points.n)
+        start = mi.UInt32(0), self.spectrum(0), seen, mi.Point3f(points.p), mi.Normal3f(points.n)
         return dr.while_loop(start, lambda g, *_: g < state.group_count, group_body, mode="symbolic", max_iterations=-1)[1]
 
     def _each(self, body, first, last, x, n, *others):
         step = lambda k, total, x, n, *others: (k + 1, total + body(k, x, n, *others), x, n, *others)
-        start = (first, self._spectrum(0), x, n, *others)
+        start = (first, self.spectrum(0), x, n, *others)
         return dr.while_loop(start, lambda k, *_: k < last, step, mode="symbolic", max_iterations=-1)[1]
 
     def _unshadowed_shaders(self, n):

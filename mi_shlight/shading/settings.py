@@ -74,6 +74,7 @@ class Settings:
     grid_error: float = 1e-3
     strict: bool = False
     coefficients: bool = False
+    errors: bool = False
 
     @property
     def pixel_samples(self) -> int:
@@ -99,7 +100,7 @@ def read_settings(props) -> Settings:
     value = {name: props.get(name, default) for name, default in asdict(Settings()).items()}
     value["order"] = check_order("shprt", value["order"])
     check_choice("shprt", "method", value["method"], METHODS)
-    for name in ("strict", "coefficients", "localised"):
+    for name in ("strict", "coefficients", "errors", "localised"):
         if not isinstance(value[name], bool):
             raise TypeError(message("shprt", name, "be true or false", value[name]))
     parts = parse_transfer("shprt", value["transfer"])
@@ -127,6 +128,12 @@ def read_settings(props) -> Settings:
     if parts.glossy and mi.is_spectral:
         raise ValueError(message("shprt", "transfer", "do without glossy in spectral variants", value["transfer"],
                                  "BSDFs are tabulated for a few channels. Use an rgb or mono variant."))
+    if value["errors"] and (mi.is_spectral or parts.glossy):
+        rule = "be false in spectral variants" if mi.is_spectral else "be false with glossy transfer"
+        raise ValueError(message("shprt", "errors", rule, True, "Errors are known of diffuse reflection in rgb and mono variants."))
+    if value["errors"] and parts.interreflected and value["bounce_lighting"] == "transfer":
+        raise ValueError(message("shprt", "errors", "be false with bounce_lighting='transfer'", True,
+                                 "That errs by its very assumption, which no bound knows of. Choose 'gather'."))
     if parts.interreflected and value["transfer_domain"] != "vertex":
         raise ValueError(message("shprt", "transfer_domain", "be vertex with interreflected transfer", value["transfer_domain"],
                                  "Light between surfaces is gathered at baked points."))

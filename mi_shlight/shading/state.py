@@ -20,7 +20,7 @@ class SceneState:
 
     DRJIT_STRUCT = dict.fromkeys(("two_sided", "black", "groups", "facets", "polygons", "meshes", "occluders", "table", "bake_lights",
                                   "lookup", "blocked_lookup", "grid", "gloss_grid", "distant", "bounces", "gloss", "fit",
-                                  "blocked_fit"), object)
+                                  "blocked_fit", "light_facets", "light_bounds"), object)
 
     def __init__(self, scene, settings, seen: Fingerprint):
         self.seen = seen
@@ -43,6 +43,7 @@ class SceneState:
         self.group_count, self.groups = len(bounds) - 1, mi.UInt32(bounds)
         self.occluders = Occluders(scene, self.lights)
         self.table = self.bake_lights = self.moving = self.facets = self.polygons = self.meshes = None
+        self.light_facets = self.light_bounds = None
         self.lookup = self.blocked_lookup = self.grid = self.gloss_grid = self.bounces = self.fit = self.blocked_fit = None
         if self.lights:
             self.table = LightTable(self.lights)
@@ -50,6 +51,8 @@ class SceneState:
             self.facets = aligned(mi.UInt32, self.table.first_facet[bounds])
             self.polygons = aligned(mi.UInt32, np.searchsorted(self.table.polygons, self.table.first_facet[bounds]))
             self.meshes = aligned(mi.UInt32, np.searchsorted(self.table.meshes, bounds))
+            if settings.errors:                       # bounds of each light among the facets, and of all lights
+                self.light_facets, self.light_bounds = aligned(mi.UInt32, self.table.first_facet), mi.UInt32([0, len(self.lights)])
             self.bake_lights = BakeLights(self.lights, 0.0)
             self.moving = MovingLights(self.lights)
             if settings.localised and not (self.all_baked and settings.transfer_domain == "vertex"):
@@ -57,7 +60,7 @@ class SceneState:
                 self.blocked_fit = cone_fit(settings.visibility_order, settings.pixel_samples) if self.gloss else None
             if settings.grid_resolution:
                 grid = lambda order: SceneGrid(self.receivers, self.table.first_facet[bounds], settings.grid_resolution,
-                                               settings.grid_interpolation, settings.grid_error, order, settings.method)
+                                               settings.grid_interpolation, settings.grid_error, order, settings.method, settings.errors)
                 self.grid, self.gloss_grid = grid(settings.order), grid(settings.gloss_light_order) if self.gloss else None
 
     @property

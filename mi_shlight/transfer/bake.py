@@ -117,7 +117,8 @@ def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max
         traced = _trace(sights, points, order, samples, report)
         buried &= (traced.visibility == 0).all(axis=0)
         for mesh, side in points.sides():
-            for values in (traced.coeffs, traced.visibility[..., None]):
+            _widen_cones(mesh, buried[side], traced.cones[:, side])
+            for values in (traced.coeffs, traced.visibility[..., None], traced.variance[..., None], traced.residual[..., None]):
                 spread_to_buried(mesh, buried[side], values[:, side])
     conflict = float(traced.conflict.max(initial=0))
     if conflict > 1e-3:
@@ -125,9 +126,9 @@ def trace_transfer(scene, lights: list, lit: list, order: int, samples: int, max
                       f"with an occluder between; more than {MAX_GROUPS} lights share one visibility, so the farther light shines "
                       "through there.", UnsupportedSceneWarning, stacklevel=3)
     versions = {"mi_shlight": __version__, "mitsuba": mi.__version__, "drjit": dr.__version__}
-    return Transfer(order, kind, fit is not None, distant, samples, traced.coeffs, traced.visibility, traced.variance, groups,
-                    [light.outline for light in lights], light_margin, max_edge, conflict, [block for block, _ in points.blocks],
-                    occluder_hash(scene), versions)
+    return Transfer(order, kind, fit is not None, distant, samples, traced.coeffs, traced.visibility, traced.variance, traced.residual,
+                    traced.cones, groups, [light.outline for light in lights], light_margin, max_edge, conflict,
+                    [block for block, _ in points.blocks], occluder_hash(scene), versions)
 
 
 def _automatic_edge(lit: list) -> float:
@@ -209,30 +210,49 @@ def _buried(scene, points: BakePoints) -> np.ndarray:
 
 
 class Traced(NamedTuple):
-    """What rays have found, for all groups and points, and the largest conflict at any."""
+    """What rays have found, for all groups and points: :py:class:`~mi_shlight.transfer.localised.Sampled`."""
 
-    coeffs: np.ndarray
     visibility: np.ndarray
     variance: np.ndarray
     conflict: np.ndarray
+    residual: np.ndarray
+    coeffs: np.ndarray
+    cones: np.ndarray
+    """Axis and half-angle."""
 
 
 def _trace(sights: list, points: BakePoints, order: int, samples: int, report) -> Traced:
     """Trace all points for each group; `sights`: (sight, kind, fit) of each."""
     rows, size = len(points.positions), (order + 1) ** 2
-    traced = Traced(*(np.empty((len(sights), rows, *shape), np.float32) for shape in ((size,), (), (), ())))
+    traced = Traced(*(np.empty((len(sights), rows, *shape), np.float32) for shape in ((), (), (), (), (size,), (4,))))
     for g, (sight, kind, fit) in enumerate(sights):
         for part in _launches(rows):
             p, n = _points(mi.Point3f, points.positions[part]), _points(mi.Normal3f, points.normals[part])
             found = sample_transfer(sight, p, n, order, samples, _hashed_shift(part), kind=kind, fit=fit,
                                     cell=aligned(mi.Float, points.cells[part]))
             dr.eval(*found)                           # Dr.Jit does not look into named tuples
-            for i in range(size):
-                traced.coeffs[g, part, i] = np.array(found.coeffs[i])
-            for table, values in zip(traced[1:], found[1:]):
-                table[g, part] = np.array(values)
+            for table, columns in ((traced.coeffs, found.coeffs), (traced.cones, (*found.axis, found.angle))):
+                for i, column in enumerate(columns):
+                    table[g, part, i] = np.array(column)
+            for name in ("visibility", "variance", "conflict", "residual"):
+                getattr(traced, name)[g, part] = np.array(getattr(found, name))
             report(g * rows + part.stop, rows * len(sights))
     return traced
+
+
+def _widen_cones(mesh, buried: np.ndarray, cones: np.ndarray) -> None:
+    """Overwrite the `cones` (G, R, 4) of buried points by some that hold those of the neighbours that stand in for them, in place."""
+    pairs = contacts(mesh, buried)
+    targets, slot = np.unique(pairs[:, 0], return_inverse=True)
+    for group in cones:
+        axes, angles = group[pairs[:, 1], :3].astype(np.float64), group[pairs[:, 1], 3]
+        middle = np.zeros((len(targets), 3))
+        np.add.at(middle, slot, axes)
+        middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-30)
+        reach = angles + 2 * np.arcsin(np.minimum(np.linalg.norm(axes - middle[slot], axis=1) / 2, 1))
+        widest = np.zeros(len(targets))
+        np.maximum.at(widest, slot, reach)
+        group[targets] = np.column_stack([middle, np.minimum(widest, np.pi)])
 
 
 def _launches(rows: int) -> list:

@@ -14,6 +14,15 @@ What is known is left out of the fit: T is ``v n . omega / pi``, v the mean visi
 that vanishes where all of the light is seen, above the horizon, or nothing of it. There the fit has no error, from order 1 on. Outside
 of the cone the rest is taken as zero.
 
+**What a fit leaves out.** With F the inverse Cholesky factor of the Gram matrix, and b and L the integrals over the cone of the rest and of
+a light of unit radiance times the harmonics,
+
+    |int_Q (T_n - T)| <= sqrt(int_C rest^2 - |F b|^2) sqrt(Omega - |F L|^2)                                               (2)
+
+for a light of solid angle Omega in the cone. By the weights of (1) the residual is orthogonal to the harmonics, so that only what they
+leave of the light counts, and the factors are the norms of both (Cauchy-Schwarz). For a projection F = 1. The right one
+grows with the cone and with eps, so any wider cone will do.
+
 Rays lie on rings about the axis. A ring needs its Fourier series only, 2 order + 1 sums, and one set of Legendre functions. All rays of
 a point stand for equal solid angles; rings are turned against each other by the golden ratio and a shift of the point's own.
 
@@ -47,6 +56,13 @@ MAX_FIT_ORDER = 14
 """Beyond it (1) is not worth the time that its kernels take to compile: 4 does for most shadows."""
 
 
+ROUNDING = 1e-5
+"""Part of a square that may be lost in float32 where it is the difference of two, of sums over a thousand rays."""
+
+SMOOTH_NOISE = 0.02
+"""Noise of what is smooth, rays on rings over independent rays: rather too large."""
+
+
 class ConeFit:
     """Tables of the fit (1) for cones of all half-angles.
 
@@ -58,10 +74,10 @@ class ConeFit:
         1e-10 to 1. Coefficients grow as it falls, up to some 100 at 1e-8, and with them the rounding of what is shaded.
     """
 
-    DRJIT_STRUCT = dict.fromkeys(("spread", "_factors"), object)
+    DRJIT_STRUCT = dict.fromkeys(("spread", "gain", "_factors"), object)
 
     def __init__(self, order: int, eps: float):
-        self.order = order
+        self.order, self.eps = order, eps
         angles = SMALLEST * (LARGEST / SMALLEST) ** (np.arange(LEVELS) / (LEVELS - 1))
         identity = [np.eye(order + 1 - m)[np.tril_indices(order + 1 - m)] for m in range(order + 1)]
         factors = np.stack([*(_packed_factors(angle, order, eps) for angle in angles), np.concatenate(identity)])
@@ -69,6 +85,10 @@ class ConeFit:
         self._factors = aligned(mi.Float, factors.ravel())
         self.spread = aligned(mi.Float, np.append(2 * np.sin(angles / 2) ** 2, 1))
         """``1 - cos`` of each half-angle; the last entry stands for the hemisphere about the normal, with projection in place of a fit."""
+        twice = np.concatenate([np.full(len(block), 1 + (m > 0)) for m, block in enumerate(identity)])
+        freedom = ((order + 1) ** 2 - eps * np.square(factors[:-1]) @ twice) / (1 - eps)      # trace of the Gram matrices' quotient
+        self.gain = aligned(mi.Float, np.append(freedom / (4 * np.pi * np.sin(angles / 2) ** 2), projection_gain(order)))
+        """Mean of ``|F Y|^2`` over the directions looked at: how noise enters (2)."""
 
     def level(self, angle):
         """Number of the half-angle next above `angle`; LEVELS, which is the hemisphere, if there is none."""
@@ -78,17 +98,29 @@ class ConeFit:
 
     def solve(self, level, moments: list) -> list:
         """Coefficients of the fit, given the integrals over the cone of T times the spherical harmonics; both in the cone's frame."""
-        base, out = level * self._size, list(moments)
+        middle, out = self.whitened(level, moments), list(moments)
+        for factor, index in self._blocks(level):
+            for j, i in enumerate(index):
+                out[i] = _dot([row[j] for row in factor[j:]], [middle[k] for k in index[j:]])
+        return out
+
+    def whitened(self, level, moments: list) -> list:
+        """``F b`` of (2) for such integrals b; the sum of their squares is what the fit holds of a function."""
+        out = list(moments)
+        for factor, index in self._blocks(level):
+            for row, i in zip(factor, index):
+                out[i] = _dot(row, [moments[k] for k in index])
+        return out
+
+    def _blocks(self, level):
+        """Rows of F for each m, and the coefficients that they belong to."""
+        base = level * self._size
         for m in range(self.order + 1):
             rows = self.order + 1 - m
             factor = [[dr.gather(mi.Float, self._factors, base + i * (i + 1) // 2 + j) for j in range(i + 1)] for i in range(rows)]
             for sign in (1, -1)[:1 + (m > 0)]:
-                index = [l * (l + 1) + sign * m for l in range(m, self.order + 1)]
-                middle = [_dot(row, [moments[i] for i in index]) for row in factor]
-                for j in range(rows):
-                    out[index[j]] = _dot([factor[i][j] for i in range(j, rows)], middle[j:])
+                yield factor, [l * (l + 1) + sign * m for l in range(m, self.order + 1)]
             base = base + rows * (rows + 1) // 2
-        return out
 
 
 def cone_fit(order: int, samples: int):
@@ -114,6 +146,32 @@ class Sampled(NamedTuple):
     conflict: object
     """Part of the directions, weighted by the cosine, in which two lights of the group stand behind each other with an occluder between,
     which one V cannot represent."""
+    residual: object
+    """Square of the left factor of (2), 1/sr: estimated from these rays and, as they are what is fitted, with twice the part added that
+    their noise hides."""
+    axis: object
+    angle: object
+    """Cone of the fit; pi where transfer is projected."""
+
+
+class Quality(NamedTuple):
+    """What is known about the errors of a transfer vector."""
+
+    visibility: object
+    """As in :py:class:`Sampled`, 0 to 1."""
+    residual: object
+    """Left factor of (2)."""
+    cut: object
+    """Part v of the cosine that it holds to the band limit only, 0 to 1: its mean visibility as far as it is projected."""
+    axis: object
+    angle: object
+    """A cone that holds those of all fits that it is made of; pi: the sphere."""
+    deviation: object
+    """Standard deviation of the visibility by the choice of rays."""
+    spread: object
+    """Standard deviation of the visibility between the baked points that are interpolated."""
+    samples: object
+    """Rays of a point."""
 
 
 def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, *, kind: str = "shadowed", fit: ConeFit | None = None,
@@ -154,14 +212,14 @@ def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, 
     zeros = lambda count: [mi.Float(0) for _ in range(count)]
     rays_before = lambda k: (samples * k * k + rings * rings // 2) // (rings * rings)         # rings equally wide
 
-    def ring(k, seen, total, change, conflict, before, met, sums, known):
+    def ring(k, seen, total, change, conflict, before, met, parts, wholes, sums, known):
         first = rays_before(k)
         count = mi.Float(rays_before(k + 1) - first)
         drop = spread * ((mi.Float(first) + 0.5 * count) / samples)
         z, rho, turn = 1 - drop, dr.sqrt(drop * (2 - drop)), mi.Float(k) * GOLDEN + offset
         turn -= dr.floor(turn)
 
-        def ray(j, seen, total, change, conflict, before, met, waves, known_waves):
+        def ray(j, seen, total, change, conflict, before, met, parts, wholes, waves, known_waves):
             sin, cos = dr.sincos((j + turn) * (2 * math.pi / count))
             d = frame.to_world(mi.Vector3f(rho * cos, rho * sin, z))
             slope = dr.dot(n, d) * inverse_pi
@@ -180,9 +238,9 @@ def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, 
                 c, s = dr.fma(c, cos, -(s * sin)), dr.fma(s, cos, c * sin)
             step = dr.select(before >= 0, weight * (v - before), 0)
             return (j + 1, dr.fma(v, weight, seen), total + weight, dr.fma(step, step, change), conflict + dr.select(hidden, weight, 0), v,
-                    met, waves, known_waves)
+                    met, dr.fma(part, part, parts), dr.fma(whole, whole, wholes), waves, known_waves)
 
-        start = (mi.Float(0), seen, total, change, conflict, before, met, zeros(2 * order + 1), zeros(2 * order + 1))
+        start = (mi.Float(0), seen, total, change, conflict, before, met, parts, wholes, zeros(2 * order + 1), zeros(2 * order + 1))
         *found, waves, known_waves = dr.while_loop(start, lambda j, *_: j < count, ray, mode="symbolic")
         legendre, sums, known = sh_basis(mi.Vector3f(rho, 0, z), order), list(sums), list(known)
         for l in range(order + 1):
@@ -192,14 +250,20 @@ def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, 
         return k + 1, *found[1:], sums, known
 
     size, last = (order + 1) ** 2, dr.select(active, mi.UInt32(rings), 0)
-    start = (mi.UInt32(0), *zeros(4), mi.Float(-1), mi.Vector3f(dr.inf), zeros(size), zeros(size))
-    _, seen, total, change, conflict, _, _, sums, known = dr.while_loop(start, lambda k, *_: k < last, ring, mode="symbolic")
+    start = (mi.UInt32(0), *zeros(4), mi.Float(-1), mi.Vector3f(dr.inf), *zeros(2), zeros(size), zeros(size))
+    _, seen, total, change, conflict, _, _, parts, wholes, sums, known = dr.while_loop(start, lambda k, *_: k < last, ring, mode="symbolic")
     whole = dr.select(total > 0, total, 1)
     mean = seen / whole                               # 1 without rounding where all is visible
     constant, solid_angle = 1 - mean if kind == "visibility" else mean, spread * (2 * math.pi / samples)
     rest = [(a - constant * b) * solid_angle for a, b in zip(sums, known)]
+    energy = ((1 - 2 * constant) * parts + constant * constant * wholes) * solid_angle      # part * whole is part^2
+    gain, angle, held = projection_gain(order), mi.Float(math.pi), rest
     if fit is not None:
-        rest = fit.solve(level, rest)
+        gain, angle = dr.gather(mi.Float, fit.gain, level), dr.select(narrow, 2 * dr.asin(dr.sqrt(spread / 2)), math.pi)
+        rest, held = fit.solve(level, rest), fit.whitened(level, rest)
+    energy = dr.maximum(energy, 0)
+    hidden_noise = gain * solid_angle * (solid_angle * change * 0.5 + SMOOTH_NOISE * energy)
+    residual = dr.maximum(energy - _dot(held, held), 0) + 2 * hidden_noise + ROUNDING * energy
     coeffs = rotate_frame(rest, frame.s, frame.t, frame.n, order)
     if kind == "visibility":
         coeffs[0] += dr.select(total > 0, constant * math.sqrt(4 * math.pi), 0)
@@ -208,7 +272,12 @@ def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, 
         if fit is not None:
             bands = [dr.select(narrow, 4 / 3 if l == 1 else mi.Float(0), band) for l, band in enumerate(bands)]
         coeffs = [dr.fma(mean * bands[math.isqrt(i)], y, c) for i, (y, c) in enumerate(zip(sh_basis(n, order), coeffs))]
-    return Sampled(coeffs, mean, change / (2 * whole * whole), conflict / whole)
+    return Sampled(coeffs, mean, change / (2 * whole * whole), conflict / whole, residual, axis, angle)
+
+
+def projection_gain(order: int) -> float:
+    """:py:attr:`ConeFit.gain` of a projection."""
+    return (order + 1) ** 2 / (4 * math.pi)
 
 
 def _dot(a: list, b: list):

@@ -70,7 +70,8 @@ def rotate_transfer(transfer: Transfer, scene, moved) -> Transfer:
     content = {a.content: b.content for a, b in zip(receivers(scene, keep_quiet), receivers(moved, keep_quiet))}
     blocks = [replace(block, content=content[block.content]) for block in transfer.meshes]
     outlines = [light.outline for light in polygon_lights(moved, keep_quiet)]
-    return replace(transfer, coeffs=rotate(transfer.coeffs, rotation).astype(np.float32), meshes=blocks, outlines=outlines,
+    cones = np.concatenate([transfer.cones[..., :3] @ rotation.T, transfer.cones[..., 3:]], axis=-1).astype(np.float32)
+    return replace(transfer, coeffs=rotate(transfer.coeffs, rotation).astype(np.float32), cones=cones, meshes=blocks, outlines=outlines,
                    occluders=occluder_hash(moved))
 
 

@@ -1,7 +1,9 @@
 """Baked transfer of a scene: arrays, file format, and the look-up of a hit's transfer vector."""
 from __future__ import annotations
 
+import functools
 import json
+import math
 import os
 import zipfile
 from dataclasses import asdict, dataclass, field
@@ -12,13 +14,15 @@ import numpy as np
 
 from ..errors import check_choice, check_integer, check_number, message
 from ..files import check_output, replacing
+from ..light.polygon import direction
 from ..scene import aligned, keep_quiet, occluder_hash, receivers, shape_index
 from ..sh.basis import check_order
-from .localised import KINDS
+from .localised import KINDS, Quality, cone_fit
 from .visibility import light_groups
 
 FORMAT = "mi_shlight transfer"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+ARRAYS = ("coeffs", "visibility", "variance", "residual", "cones")
 SCALARS = ("order", "transfer", "localised", "distant", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions")
 
 
@@ -65,6 +69,12 @@ class Transfer:
     variance : ndarray (G, R), float32
         Estimated variance of `visibility`, which is that of a point's irradiance relative to the unshadowed one
         (:py:class:`mi_shlight.transfer.localised.Sampled`).
+    residual : ndarray (G, R), float32
+        Integral, in 1/sr, of the square of what the expansion leaves of V times the cosine over pi, over the cone of the fit or, projected,
+        over the sphere; without the part v of the cosine, which is known. With the lights' solid angles it bounds the error of a shaded
+        value (:py:mod:`mi_shlight.transfer.localised`, equation (2)).
+    cones : ndarray (G, R, 4), float32
+        Unit axis and half-angle of the cone to which the coefficients are fitted; pi where they are projected.
     groups : ndarray
         Light group g holds the lights ``groups[g] .. groups[g + 1] - 1`` in the scene's order. Up to four lights have a group
         each.
@@ -92,6 +102,8 @@ class Transfer:
     coeffs: np.ndarray = field(repr=False)
     visibility: np.ndarray = field(repr=False)
     variance: np.ndarray = field(repr=False)
+    residual: np.ndarray = field(repr=False)
+    cones: np.ndarray = field(repr=False)
     groups: np.ndarray
     outlines: list = field(repr=False)
     light_margin: float
@@ -113,8 +125,8 @@ class Transfer:
         header = {"format": FORMAT, "format_version": FORMAT_VERSION, **{name: getattr(self, name) for name in SCALARS},
                   "lights": len(self.outlines),
                   "meshes": [{k: v for k, v in asdict(b).items() if not isinstance(v, np.ndarray)} for b in self.meshes]}
-        arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), "coeffs": self.coeffs,
-                  "visibility": self.visibility, "variance": self.variance, "groups": self.groups}
+        arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), "groups": self.groups,
+                  **{name: getattr(self, name) for name in ARRAYS}}
         for i, outline in enumerate(self.outlines):
             arrays[f"outline_{i}"] = outline
         for i, block in enumerate(self.meshes):
@@ -141,9 +153,9 @@ class Transfer:
             return False
         return True
 
-    def look_up(self, lit: list) -> "TransferLookup":
-        """Device-side tables for the receivers `lit` of a scene in the current variant."""
-        return TransferLookup(self, lit)
+    def look_up(self, lit: list, quality: bool = False) -> "TransferLookup":
+        """Device-side tables for the receivers `lit` of a scene in the current variant; with `quality` those of errors, too."""
+        return TransferLookup(self, lit, quality)
 
 
 def load_transfer(path) -> Transfer:
@@ -176,14 +188,14 @@ def load_transfer(path) -> Transfer:
             outlines = [data[f"outline_{i}"] for i in range(header["lights"])]
             scalars = {name: header[name] for name in SCALARS}
             _check_scalars(scalars)
-            result = Transfer(**scalars, coeffs=data["coeffs"], visibility=data["visibility"], variance=data["variance"],
-                              groups=data["groups"], outlines=outlines, meshes=meshes)
+            result = Transfer(**scalars, **{name: data[name] for name in ARRAYS}, groups=data["groups"], outlines=outlines, meshes=meshes)
         shape = (len(result.groups) - 1 + result.distant, sum(b.row_count * (1 + b.two_sided) for b in meshes), (result.order + 1) ** 2)
         if result.coeffs.shape != shape:
             raise ValueError(f"coefficients of shape {result.coeffs.shape} where {shape} is due")
-        if result.visibility.shape != shape[:2] or result.variance.shape != shape[:2]:
-            raise ValueError(f"visibility of shape {result.visibility.shape} where {shape[:2]} is due")
-        if not all(np.isfinite(values).all() for values in (result.coeffs, result.visibility, result.variance)):
+        for name, due in {"visibility": shape[:2], "variance": shape[:2], "residual": shape[:2], "cones": (*shape[:2], 4)}.items():
+            if getattr(result, name).shape != due:
+                raise ValueError(f"{name} of shape {getattr(result, name).shape} where {due} is due")
+        if not all(np.isfinite(getattr(result, name)).all() for name in ARRAYS):
             raise ValueError("coefficients that are no numbers")
         if not np.array_equal(result.groups, light_groups(len(outlines))):
             raise ValueError(f"groups {result.groups.tolist()} of {len(outlines)} lights")
@@ -213,9 +225,10 @@ def _check_scalars(scalars: dict) -> None:
 class TransferLookup:
     """Tables on the device that turn a ray hit into the rows and weights of its transfer vector."""
 
-    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "means", "row_count"), object)
+    DRJIT_STRUCT = dict.fromkeys(("baked", "first_face", "back", "subdivision", "first", "rows", "coeffs", "means", "row_count", "fit",
+                                  "_variance", "_residual", "_cones", "_samples"), object)
 
-    def __init__(self, transfer: Transfer, lit: list):
+    def __init__(self, transfer: Transfer, lit: list, quality: bool = False):
         blocks = {block.content: block for block in transfer.meshes}
         shapes = [(shape_index(r.shape), r, blocks.get(r.content)) for r in lit if r.baked]
         size = 1 + max((shape_index(r.shape) for r in lit), default=0)
@@ -236,8 +249,13 @@ class TransferLookup:
         join = lambda parts: aligned(mi.UInt32, np.concatenate(parts) if parts else np.zeros(1, np.uint32))
         self.baked, self.first_face, self.back = (aligned(mi.UInt32, table) for table in (baked, first_face, back))
         self.subdivision, self.first, self.rows = join(subdivision), join(first), join(rows)
-        self.coeffs = aligned(mi.Float, transfer.coeffs.ravel() if transfer.coeffs.size else np.zeros(transfer.coeffs.shape[2]))
-        self.means = aligned(mi.Float, transfer.visibility.ravel() if transfer.visibility.size else np.zeros(1))
+        flat = lambda values: aligned(mi.Float, values.ravel() if values.size else np.zeros(transfer.coeffs.shape[2]))
+        self.coeffs, self.means = flat(transfer.coeffs), flat(transfer.visibility)
+        self.fit = self._variance = self._residual = self._cones = self._samples = None
+        if quality:
+            self._samples = dr.opaque(mi.Float, transfer.samples)
+            self.fit = cone_fit(transfer.order, transfer.samples) if transfer.localised else None
+            self._variance, self._residual, self._cones = map(flat, (transfer.variance, np.sqrt(transfer.residual), transfer.cones))
         self.count, self.row_count = transfer.coeffs.shape[2], mi.UInt32(transfer.coeffs.shape[1])
         dr.make_opaque(self.row_count)                # a literal would compile the kernels of a picture anew for each bake
 
@@ -280,3 +298,18 @@ class TransferLookup:
         """Interpolated mean visibility of light group `group`, 0 to 1."""
         values = [dr.gather(mi.Float, self.means, row + group * self.row_count, valid) for row in rows]
         return sum((value * weight for value, weight in zip(values, weights)), mi.Float(0))
+
+    def quality(self, rows, weights, valid, group) -> Quality:
+        """What is known about the errors of the interpolated transfer vector; of a look-up made for it."""
+        at = [row + group * self.row_count for row in rows]
+        read = lambda table: [dr.gather(mi.Float, table, i, valid) for i in at]
+        mean = lambda values: sum((value * weight for value, weight in zip(values, weights)), mi.Float(0))
+        visible, cones = read(self.means), [dr.gather(mi.Vector4f, self._cones, i, valid) for i in at]
+        axes, angles = [mi.Vector3f(*cone[:3]) for cone in cones], [cone[3] for cone in cones]
+        axis = direction(sum((a * w for a, w in zip(axes, weights)), mi.Vector3f(0)))
+        reach = [angle + 2 * dr.asin(dr.minimum(dr.norm(a - axis) / 2, 1)) for a, angle in zip(axes, angles)]
+        v = mean(visible)
+        return Quality(v, mean(read(self._residual)), mean([dr.select(a < math.pi - 1e-3, 0, v) for a, v in zip(angles, visible)]), axis,
+                       dr.minimum(functools.reduce(dr.maximum, reach), math.pi),
+                       dr.sqrt(sum((value * w * w for value, w in zip(read(self._variance), weights)), mi.Float(0))),
+                       dr.sqrt(mean([dr.square(value - v) for value in visible])), self._samples)

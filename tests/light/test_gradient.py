@@ -71,7 +71,7 @@ def reference_gradients(precision, method, function, order):
     key = precision.eps, method, function.__name__, order
     if key not in SEEN:
         SEEN[key] = {}
-        for cases, stacked in reference.reference_stacks(4):
+        for cases, stacked in reference.reference_stacks():
             vertices = [wide(precision, corner) for corner in np.swapaxes(stacked, 0, 1)]
             values, gradients = map(numbers, function(vertices, precision.vector((0, 0, 0)), order, method))
             for k, case in enumerate(cases):

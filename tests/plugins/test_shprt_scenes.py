@@ -28,7 +28,7 @@ def rectangle(to_world, **nested):
 ], ids=["plain", "flip_normals", "mirrored in x", "mirrored in z"])
 def test_emitting_side_is_mitsubas(light_shape):
     what = scene(floor=floor(), light=light_shape)
-    truth, image = direct(what, spp=256), render(what, order=8, transfer="unshadowed")
+    truth, image = direct(what, spp=256), render(what, order=4, transfer="unshadowed")
     if truth.max() == 0:
         assert image.max() == 0
     else:
@@ -48,7 +48,7 @@ def test_receiver_turned_inside_out(face_normals):
     turned = rectangle(mi.ScalarTransform4f().rotate([1, 0, 0], 90).scale(2), flip_normals=True, face_normals=face_normals, bsdf=GREY)
     what = scene(floor=turned, light=light())
     truth = direct(what, spp=256)
-    assert mean_error(render(what, order=8, max_edge=0.5, transfer_samples=64), truth) < 0.03
+    assert mean_error(render(what, order=4, max_edge=0.5, transfer_samples=64), truth) < 0.03
 
 
 def test_black_shape_does_not_spoil_a_bake(tmp_path):
@@ -70,13 +70,13 @@ def test_light_that_reflects_another_light():
     what = scene(sensor=camera(origin=(0, 3, 2), target=(0, 0.5, 0), fov=12), panel=panel, floor=floor(), lamp=light(y=2.5))
     truth = direct(what, spp=256)
     for domain in ("vertex", "pixel"):
-        assert mean_error(render(what, order=8, max_edge=0.5, transfer_samples=128, transfer_domain=domain), truth) < 0.03
+        assert mean_error(render(what, order=4, max_edge=0.5, transfer_samples=128, transfer_domain=domain), truth) < 0.03
 
 
 def test_light_in_the_shadow_of_another():
     """The floor below a panel is lit by the panel alone; the lamp behind it is hidden."""
     what = scene(floor=floor(), panel=light(y=0.8, scale=0.9, radiance=(0.3, 0.3, 0.3)), lamp=light(y=1.8, scale=0.2))
-    assert mean_error(render(what, spp=16, order=8, max_edge=0.1, transfer_samples=128), direct(what, spp=256)) < 0.06
+    assert mean_error(render(what, spp=16, order=4, max_edge=0.1, transfer_samples=128), direct(what, spp=256)) < 0.06
 
 
 def test_instances():
@@ -86,7 +86,7 @@ def test_instances():
     copy = {"type": "instance", "group": {"type": "ref", "id": "boxes"}, "to_world": there}
     what = scene(floor=floor(), light=light(), boxes=group, copy=copy)
     names = [s.id() for s in what.shapes()]
-    image = render(what, spp=16, order=8, max_edge=0.1, transfer_samples=256)
+    image = render(what, spp=16, order=4, max_edge=0.1, transfer_samples=256)
     assert [s.id() for s in what.shapes()] == names
     assert mean_error(image, direct(what, spp=512)) < 0.06
 
@@ -109,7 +109,7 @@ def test_blend_of_diffuse_bsdfs_is_diffuse():
     what = scene(floor=floor(bsdf=blend), light=light())
     with warnings.catch_warnings():
         warnings.simplefilter("error", UnsupportedSceneWarning)
-        assert mean_error(render(what, order=8, transfer="unshadowed"), direct(what, spp=256)) < 0.02
+        assert mean_error(render(what, order=4, transfer="unshadowed"), direct(what, spp=256)) < 0.02
 
 
 def test_radiance_as_mesh_attribute_is_left_out_by_name():

@@ -62,6 +62,25 @@ def test_envmap_is_what_mitsuba_evaluates(variant, transform):
     np.testing.assert_allclose(ours, expected, atol=1e-5 * abs(expected).max())
 
 
+@pytest.mark.parametrize("smooth", [True, False])
+def test_remainder(smooth):
+    """The norm of what a map's coefficients leave: not less, and nearly that if the map is smooth; nothing of a constant sky."""
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, 33), (np.arange(64) + 0.5) * np.pi / 32, indexing="ij")
+    pixels = np.exp(3 * np.sin(theta) * np.cos(phi))[..., None] * [1.0, 0.5, 0.2] if smooth else np.random.default_rng(1).random((33, 64, 3))
+    found = np.ravel(DistantLights(scene(sky=envmap(pixels, to_world=PLACE)), 2).attached().remainder())
+    pixels = pixels.astype(np.float32).astype(np.float64)
+    fine = np.linspace(0, 32, 32 * 8 + 1)             # the bilinear map on a grid eight times as fine
+    rows = np.stack([np.stack([np.interp(fine, np.arange(33), pixels[:, j, c]) for j in range(64)], 1) for c in range(3)], -1)
+    at = np.arange(512) / 8
+    values = np.stack([[np.interp(at, np.arange(65), np.append(row[:, c], row[0, c])) for row in rows] for c in range(3)], -1)
+    area = np.sin(fine * np.pi / 32)[:, None, None] * (np.pi / 256) * (np.pi / 256)
+    expected = np.sqrt((values ** 2 * area).sum(axis=(0, 1)) - (project_image(pixels, 2) ** 2).sum(axis=-1))
+    assert (found > 0.995 * expected).all()
+    assert (found < (1.06 if smooth else 1.6) * expected).all()
+    constant = scene(sky={"type": "constant", "radiance": {"type": "rgb", "value": 0.5}})
+    np.testing.assert_array_equal(np.ravel(DistantLights(constant, 2).attached().remainder()), 0)
+
+
 def test_envmap_agrees_with_the_projection_of_its_image():
     """The package's other way from a map to coefficients, in numpy and float64."""
     ours = coefficients(DistantLights(scene(sky=envmap(to_world=PLACE)), ORDER))

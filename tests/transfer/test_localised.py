@@ -11,8 +11,9 @@ mi = pytest.importorskip("mitsuba")
 from mi_shlight import bake_transfer, polygon_irradiance
 from mi_shlight.scene import aligned, polygon_lights
 from mi_shlight.sh.lobes import sh_matrix
+from mi_shlight.transfer.cosine import cosine_bands
 from mi_shlight.transfer.localised import LARGEST, LEVELS, MAX_FIT_ORDER, SMALLEST, ConeFit, cone_fit, sample_transfer
-from mi_shlight.transfer.visibility import BakeLights, LightSight, Occluders, SkySight
+from mi_shlight.transfer.visibility import BakeLights, Cone, LightSight, Occluders, SkySight
 
 UP = np.array([0, 1.0, 0])
 
@@ -311,3 +312,48 @@ def test_coplanar_and_two_sided_traps(build):
     for up in (True, False):
         scene = build.scene(build.quad(build.level(3, 0.5, up=up), "sheet"), lamp)
         assert trace(scene, [[0, 0, 0]], UP, 1, 64)[1] == 0
+
+
+class Edge:
+    """Sight of a cone in which all directions beyond a plane are hidden."""
+
+    def __init__(self, axis, angle, normal):
+        self.axis, self.angle, self.normal = axis, angle, normal
+
+    def cone(self, p, n, cell):
+        return Cone(mi.Vector3f(self.axis), mi.Float(self.angle), mi.Bool(False))
+
+    def look(self, origin, n, d, met, active):
+        return active & (dr.dot(mi.Vector3f(self.normal), d) > 0), mi.Bool(False), met
+
+
+@pytest.mark.parametrize("kind, localised", [("shadowed", True), ("exact", True), ("shadowed", False)])
+def test_residual(kind, localised):
+    """The norm of what the expansion leaves of visibility times cosine, by directions all over the sphere; not less, a little more."""
+    order, samples, axis, normal = 3, 4096, np.array([0.28, 0.96, 0]), np.array([0.8, -0.1, 0.6])
+    fit = cone_fit(order, samples) if localised else None
+    found = sample_transfer(Edge(axis, 0.4, normal), mi.Point3f(0), mi.Normal3f(UP), order, samples, mi.Float(0.5), kind=kind, fit=fit)
+    dr.eval(*found)
+    value = lambda v: np.array(v).item()
+    coeffs, visible, angle = np.array([value(c) for c in found.coeffs]), value(found.visibility), value(found.angle)
+    n = 400
+    node, weight = np.polynomial.legendre.leggauss(n)
+    phi = 2 * np.pi * (np.arange(2 * n) + 0.5) / (2 * n)
+    z, turn = (a.ravel() for a in np.meshgrid(1 + (node - 1) * math.sin(angle / 2) ** 2, phi, indexing="ij"))
+    weights = np.repeat(weight * math.sin(angle / 2) ** 2, 2 * n) * np.pi / n
+    s = np.cross(UP, axis) / np.linalg.norm(np.cross(UP, axis))
+    rho = np.sqrt(1 - z * z)[:, None]
+    d = rho * np.cos(turn)[:, None] * s + rho * np.sin(turn)[:, None] * np.cross(axis, s) + z[:, None] * axis
+    cosine = np.maximum(d @ UP, 0) / np.pi
+    rest = cosine * ((d @ normal > 0) - visible)
+    expansion = coeffs @ sh_matrix(d, order).T
+    if kind == "shadowed":                            # without the part of the cosine that is known
+        bands = [0, 4 / 3, 0, 0] if localised else cosine_bands(order)
+        known = sh_matrix(UP[None], order)[0] * np.repeat(bands, 2 * np.arange(order + 1) + 1)
+        expansion = expansion - visible * (sh_matrix(d, order) @ known)
+    expected = weights @ (rest - expansion) ** 2
+    assert 0.3 < visible < 0.7 and expected > 0.02 * (weights @ rest ** 2)
+    assert 0.98 * expected < value(found.residual) < 1.2 * expected
+    assert abs(angle - (0.4 if localised else np.pi)) < 0.03
+    if localised:
+        np.testing.assert_allclose(np.ravel(found.axis), axis, atol=1e-6)

@@ -60,6 +60,9 @@ def test_rotated_bake_equals_a_new_one(baked):
     at_corners = lambda t: np.concatenate([t.coeffs[0, block.first_row + block.rows] for block in t.meshes])     # rows are sorted by place
     distance = lambda t: np.linalg.norm(at_corners(t) - at_corners(fresh)) / np.linalg.norm(at_corners(fresh))
     assert distance(moved) < 0.01 and distance(transfer) > 0.5
+    rotation = np.array(motion().matrix)[:3, :3]
+    np.testing.assert_allclose(moved.cones[..., :3], transfer.cones[..., :3] @ rotation.T, atol=1e-6)
+    np.testing.assert_array_equal(moved.cones[..., 3], transfer.cones[..., 3])
 
 
 def test_rotating_the_light_instead(baked):

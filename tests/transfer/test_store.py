@@ -31,7 +31,7 @@ def transfer(scene):
     return bake_transfer(scene, 2, samples=32, max_edge=0.3, light_margin=0.01)
 
 
-@pytest.mark.parametrize("name", ["visibility", "variance"])
+@pytest.mark.parametrize("name", ["visibility", "variance", "residual", "cones"])
 def test_visibility_of_another_shape(file, name):
     rewrite(file, **{name: np.zeros((1, 3), np.float32)})
     assert "shape" in refused(file)
@@ -48,7 +48,7 @@ def test_round_trip(transfer, file):
     assert np.ptp(transfer.visibility) > 0.5
     for name in ("order", "transfer", "localised", "distant", "samples", "light_margin", "max_edge", "conflict", "occluders", "versions"):
         assert getattr(loaded, name) == getattr(transfer, name), name
-    for name in ("coeffs", "visibility", "variance", "groups"):
+    for name in ("coeffs", "visibility", "variance", "residual", "cones", "groups"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(transfer, name))
     assert loaded.coeffs.dtype == np.float32
     np.testing.assert_array_equal(loaded.outlines, transfer.outlines)

@@ -194,14 +194,14 @@ def test_first_call_runs_in_a_fresh_process():
 
 
 def test_whole_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(engine, "QUICK", Plan(orders=(1, 2), edges=(3, 4, 8), distances=(1,), sweep_orders=(2,), first_call_orders=(),
-                                              lights_repeats=0, rounds=1, monte_carlo_sides=(1, 2), budget=1e-4))
+    monkeypatch.setattr(engine, "QUICK", Plan(orders=(1, 2), edges=(3, 4, 8), edge_orders=(2,), distances=(1,), sweep_orders=(2,),
+                                              first_call_orders=(), lights_repeats=0, rounds=1, monte_carlo_sides=(1, 2), budget=1e-4))
     for module in (engine, engine_report):
         monkeypatch.setattr(module, "STANDARD_ORDER", 2)
     assert engine.main(["--quick", "--out", str(tmp_path)]) == 0
     report = json.loads((tmp_path / "engine.json").read_text())
     assert report["failures"] == [] and report["quick"] is True
-    assert len(report["times"]) == 2 * 2 * 3 * (len(METHODS) + 1)
+    assert len(report["times"]) == 2 * (3 + 1) * (len(METHODS) + 1)        # order 1: quadrilaterals alone
     assert max(row["max"] for row in report["errors"]) < 1e-4
     assert [row["samples"] for row in report["monte_carlo"]] == [2, 8, 2, 8]
     assert report["versions"]["drjit"] == dr.__version__ and report["versions"]["threads"] == 1
