@@ -32,6 +32,8 @@ _MODULES = {
     ".transfer.bake": ("bake_transfer",),
     ".animation": ("animate",),
     ".transfer.store": ("load_transfer", "Transfer"),
+    ".planner.plan": ("plan",),
+    ".planner.apply": ("apply_settings",),
 }
 _LAZY = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -1,4 +1,4 @@
-"""The command ``mi-shlight``: render, animate, bake and compare scenes from a shell.
+"""The command ``mi-shlight``: render, animate, bake, plan and compare scenes from a shell.
 
 Mitsuba's own command is a C++ program and cannot load plugins written in Python; this one takes its place. Every failure that
 the user can mend is one paragraph on stderr and exit code 2; an interrupt ends with 130, a bug with 1. Output files appear
@@ -7,6 +7,7 @@ complete or not at all.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import shlex
@@ -14,6 +15,7 @@ import sys
 import time
 import warnings
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import mi_shlight
@@ -162,6 +164,62 @@ def _bake(arguments) -> None:
     groups, points, _ = transfer.coeffs.shape
     _say(arguments, f"{output}: {points} points, {groups} light groups, order {transfer.order}, {transfer.samples} rays per point; "
          f"{output.stat().st_size / 2**20:.1f} MiB, {seconds:.2f} s")
+
+
+def _plan(arguments) -> None:
+    from .planner.apply import apply_settings
+    from .planner.plan import plan
+    from .shading.settings import Settings
+
+    source, output = Path(arguments.scene), None
+    if arguments.apply is not None:
+        output = check_output("plan", "--apply", arguments.apply or source.with_name(f"{source.stem}_planned.xml"), ".xml")
+    scene = _load(arguments)
+    found = plan(scene, arguments.max_error, arguments.time_limit, light_margin=arguments.light_margin, sensor=arguments.sensor,
+                 spp=arguments.spp, seed=arguments.seed)
+    if output is not None:
+        settings, default = found.settings, asdict(Settings())
+        apply_settings(source, {name: value for name, value in settings.items()
+                                if name in ("order", "method", "transfer") or value != default.get(name)}, output)
+    if arguments.json:
+        print(json.dumps(found.report(), indent=2))
+        return
+    _say(arguments, _plan_text(found))
+    if output is not None:
+        _say(arguments, f"wrote {output}: mi-shlight render {shlex.quote(str(output))} -o OUT.exr")
+
+
+def _plan_text(found) -> str:
+    """A plan as a person reads it."""
+    from .shading.settings import Settings
+
+    default = asdict(Settings())
+    chosen = {name: value for name, value in found.settings.items() if name in ("order", "transfer") or value != default.get(name)}
+    asked = f"error of at most {found.max_error:.2g}" + ("" if found.time_limit is None else f" within {found.time_limit:g} s")
+    lines = [f"shprt with {', '.join(f'{name} {value}' for name, value in chosen.items())}",
+             f"  error   {found.error:.2%} (+- {found.spread:.2%})   of "
+             + ", ".join(f"{name} {part:.2%}" for name, part in found.parts.items() if part > 0),
+             f"  time    {found.bake:.2f} s to bake, {found.render:.2f} s to render; {found.compile:.1f} s more to compile, once",
+             "why"]
+    lines += [f"  {name:<17} {text}" for name, text in found.why]
+    if found.choices:
+        lines.append("what else there is")
+        lines += [f"  {choice['error']:8.2%} in {choice['seconds']:7.2f} s   {choice['settings']['transfer']}, order "
+                  f"{choice['settings']['order']}" for choice in _spaced(found.choices)]
+    lines += [f"not rendered: {text}" for text in found.left_out]
+    if not found.met:
+        lines.append(f"An {asked} cannot be had: this is the most accurate there is"
+                     + ("." if found.time_limit is None else " in that time, or the fastest if nothing is."))
+    return "\n".join(lines)
+
+
+def _spaced(choices, ratio: float = 2.0) -> list:
+    """Of choices from cheap to accurate those whose errors differ by a factor or more."""
+    shown = []
+    for choice in choices:
+        if not shown or choice["error"] * ratio <= shown[-1]["error"]:
+            shown.append(choice)
+    return shown
 
 
 def _compare(arguments) -> None:
@@ -378,6 +436,11 @@ def _number_or_auto(text):
     return text if text == "auto" else _number(text)
 
 
+def _share(text):
+    """A number, or one followed by a per cent sign."""
+    return _number(text[:-1]) / 100 if text.endswith("%") else _number(text)
+
+
 def _define(text):
     name, separator, value = text.partition("=")
     if not separator or not name:
@@ -411,6 +474,7 @@ SHPRT_OPTIONS = {
     "grid_error": dict(type=_number, metavar="X", help="relative error up to which lights go through the grid; 0: all do"),
     "strict": dict(action="store_true", default=None, help="refuse a scene of which something must be left out"),
     "coefficients": dict(action="store_true", default=None, help="add the light's coefficients as layers L.l.m"),
+    "errors": dict(action="store_true", default=None, help="add what each pixel may be off by as layers, truncation_bound to total_error"),
 }
 
 
@@ -460,7 +524,7 @@ def _parser() -> _Parser:
     animate.add_argument("--exposure", type=_number, default=1, metavar="X", help="factor on the colours of the frames (%(default)s)")
     _add_camera(animate)
     animate.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel of a frame; default: the scene's")
-    _add_shprt(animate, [name for name in SHPRT_OPTIONS if name != "coefficients"])
+    _add_shprt(animate, [name for name in SHPRT_OPTIONS if name not in ("coefficients", "errors")])
     animate.set_defaults(run=_animate)
 
     bake = commands.add_parser("bake", allow_abbrev=False, help="precompute a scene's transfer",
@@ -470,6 +534,21 @@ def _parser() -> _Parser:
     bake.add_argument("--samples", dest="transfer_samples", type=_number, metavar="N", help="rays per vertex; default: 1024")
     _add_shprt(bake, ("order", "transfer", "localised", "max_edge", "light_margin"))
     bake.set_defaults(run=_bake)
+
+    plan = commands.add_parser("plan", allow_abbrev=False, help="find the cheapest settings for an error",
+                               description="Look at a scene, in seconds, and find the cheapest settings of shprt whose mean relative error, "
+                               "as compare has it, is what you ask for; with the expected error and time, and why.")
+    _add_scene(plan)
+    plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean relative error, such as 0.01 or 1%%")
+    plan.add_argument("--time-limit", type=_number, metavar="T", help="seconds for bake and picture; then the least error in that time if E "
+                      "takes longer")
+    plan.add_argument("--light-margin", type=_number, metavar="X", help="how far lights will move, in scene units; default: the scene's")
+    plan.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel to count with; default: the scene's")
+    plan.add_argument("--apply", nargs="?", const="", metavar="FILE", help="write the scene with these settings; default name: "
+                      "SCENE_planned.xml")
+    plan.add_argument("--json", action="store_true", help="print the plan as JSON")
+    _add_camera(plan)
+    plan.set_defaults(run=_plan)
 
     compare = commands.add_parser("compare", allow_abbrev=False, help="render with shprt and with path tracing",
                                   description="Render a scene with shprt and with path (direct illumination, or as many bounces as shprt); "
@@ -489,9 +568,10 @@ def _parser() -> _Parser:
     return parser
 
 
-def _add_scene(parser, output, help_output) -> None:
+def _add_scene(parser, output: str = "", help_output: str = "") -> None:
     parser.add_argument("scene", metavar="SCENE", help="Mitsuba XML file")
-    parser.add_argument("-o", "--output", required=True, metavar=output, help=help_output)
+    if output:
+        parser.add_argument("-o", "--output", required=True, metavar=output, help=help_output)
     parser.add_argument("-D", "--define", action="append", default=[], type=_define, metavar="NAME=VALUE",
                         help="set $NAME of the scene file; may be repeated")
     parser.add_argument("-m", "--variant", default=DEFAULT_VARIANT, metavar="V", help="Mitsuba variant (%(default)s)")

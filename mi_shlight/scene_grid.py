@@ -7,7 +7,7 @@ import numpy as np
 
 from .arrays import array3
 from .grid.cells import Cells
-from .grid.choose import cheapest_grid
+from .grid.choose import cheapest_grid, grids
 from .grid.nodes import NodeTable
 from .grid.split import NearLists
 
@@ -73,6 +73,11 @@ class SceneGrid:
         if self._cells is None:
             return mi.Float(0)
         return dr.gather(mi.Float, self._error, self._cells.locate(array3(mi.Float)(x))[0])
+
+    def sizes(self, facets):
+        """``(cells, near, facets near to a point in the mean)`` of the grids that ``auto`` chooses from, finer and finer."""
+        for cells, near in grids(facets, self._groups, self._lower, self._upper, self._order, self._max_error):
+            yield cells, near, near.mean_length(cells, self._samples)
 
     @property
     def prepared(self) -> bool:

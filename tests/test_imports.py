@@ -18,9 +18,10 @@ LAYERS = (
     {"shading"},
     {"plugins"},
     {"exr", "rendering", "panel", "compare", "motion", "animation"},
+    {"planner"},
     {"cli", "__main__"},
 )
-USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "shading", "plugins", "rendering", "compare", "animation", "cli"}
+USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "shading", "plugins", "rendering", "compare", "animation", "planner", "cli"}
 
 
 def modules():

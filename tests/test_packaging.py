@@ -93,9 +93,9 @@ def checkout(tmp_path):
     return checkout
 
 
-def set_up(checkout, **environment):
+def set_up(checkout, *arguments, **environment):
     tools = str(checkout.parent / "tools")
-    return subprocess.run([f"{tools}/sh", ".ci/setup"], cwd=checkout, env={"PATH": tools, **environment}, capture_output=True,
+    return subprocess.run([f"{tools}/sh", ".ci/setup", *arguments], cwd=checkout, env={"PATH": tools, **environment}, capture_output=True,
                           text=True)
 
 
@@ -140,6 +140,17 @@ def test_setup_as_root_takes_the_llvm_that_the_distribution_has(checkout):
     assert (done.returncode, done.stdout, done.stderr) == (0, "setup: installed libllvm20\n", "")
     calls = (checkout / "apt.log").read_text().splitlines()
     assert [call.split()[-1] for call in calls] == ["-qq", "libllvm19", "libllvm20"]
+
+
+@POSIX
+def test_setup_for_tests_installs_a_browser_where_it_may(checkout):
+    (checkout / "llvm").touch()
+    missing = set_up(checkout, "browser")
+    assert (missing.returncode, missing.stdout, missing.stderr) == (0, "setup: no browser; the test that needs one is skipped\n", "")
+    as_root_with_apt(checkout, "chromium")
+    assert (set_up(checkout).stdout, set_up(checkout, "browser").stdout) == ("", "setup: installed chromium\n")
+    script(checkout.parent / "tools/chromium")
+    assert set_up(checkout, "browser").stdout == ""
 
 
 @POSIX

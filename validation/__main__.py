@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
+import resource
 import subprocess
 import sys
 import tempfile
@@ -37,11 +38,18 @@ def commit() -> str | None:
         return None
 
 
+def cpu_of_children() -> float:
+    """Seconds that all ended processes that this one started, and theirs, computed."""
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
+
+
 class Run:
     """One experiment in a process, on one `core`, or on all of them for None."""
 
     def __init__(self, name: str, quick: bool, out: pathlib.Path, core: int | None):
         self.name, self.core, self.start, self.limit = name, core, time.perf_counter(), TIME_LIMIT[quick]
+        self.cpu_seconds = 0.0
         self.log = tempfile.TemporaryFile(mode="w+", errors="replace")
         command = [sys.executable, "-m", f"validation.{name}", "--out", str(out.resolve()), *(["--quick"] if quick else [])]
         pinned = {} if core is None else {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -57,9 +65,11 @@ class Run:
         return time.perf_counter() - self.start
 
     def done(self) -> bool:
+        before = cpu_of_children()
         if self.process.poll() is None and self.seconds > self.limit:
             self.log.write(f"stopped after {self.limit} s\n")
             self.stop()
+        self.cpu_seconds = cpu_of_children() - before               # of those that have ended: this one, or none
         return self.process.returncode is not None
 
     def stop(self):
@@ -106,12 +116,13 @@ class Runner:
 
     def _record(self, run: Run) -> None:
         status = run.process.returncode
-        entry = {"status": status, "seconds": run.seconds, **self.common}
+        entry = {"status": status, "seconds": run.seconds, "cpu_seconds": run.cpu_seconds, **self.common}
         self.finished += 1
         if status:
             self.failed.append(run.name)
             entry["output"] = run.tail()
-        self._say(f"{run.name}: {'FAILED' if status else 'done'} in {run.seconds:.0f} s, {self.finished} of {self.total}")
+        self._say(f"{run.name}: {'FAILED' if status else 'done'} in {run.seconds:.0f} s ({run.cpu_seconds:.0f} s of CPU), "
+                  f"{self.finished} of {self.total}")
         for line in entry.get("output", []):
             print(f"    {line}", flush=True)
         path = self.out / report.RUNS

@@ -28,7 +28,7 @@ QUALITIES = ((1000, 60), (1000, 45), (900, 38), (800, 32), (720, 26), (660, 22),
 """(largest width in pixels, quality of WebP), tried in turn."""
 ROWS, COLUMNS = 12, 12
 """Of a table; the rest is in the JSON."""
-RUN_KEYS = ("status", "seconds", "quick", "commit", "output")
+RUN_KEYS = ("status", "seconds", "cpu_seconds", "quick", "commit", "output")
 NOT_TABLES = ("versions", "quick", "targets", "failures", "runs")
 CHANGING = ("date", "load", "threads")
 """Of the versions: what differs from run to run on one machine."""

@@ -23,6 +23,8 @@ between the two states of the lights by ``path``, over its mean: what the lights
 from __future__ import annotations
 
 import json
+import pathlib
+import tempfile
 import time
 from typing import NamedTuple
 
@@ -74,10 +76,11 @@ class Pictures:
         self.scene, self.plan = scene, plan
         self.settings = {"type": "shprt", "order": plan.order, "transfer_samples": plan.rays, "max_edge": NO_REFINEMENT, **settings}
         self.truth, self.noise, self.seen = reference(scene, plan.reference_spp) if traced else (None, None, shaded_pixels(scene))
-        self.images = {}
+        self.images, self._folder = {}, tempfile.TemporaryDirectory()
 
     def measure(self, name: str, **settings) -> dict:
-        image = self.images[name] = render(self.scene, {**self.settings, **settings}, self.plan.spp, seed=1)
+        settings = {**self.settings, **settings}
+        image = self.images[name] = render(self.scene, {**settings, "transfer_file": self._bake(settings)}, self.plan.spp, seed=1)
         row = {"picture": name}
         if len(self.images) == 1:
             self.display = Display(image, self.seen)
@@ -87,6 +90,14 @@ class Pictures:
         if self.truth is not None:
             row |= {"path": significant(error(image, self.truth, self.seen)), "noise": significant(self.noise)}
         return row
+
+    def _bake(self, settings: dict) -> str:
+        """File with the direct transfer, one for all grids."""
+        file = pathlib.Path(self._folder.name) / f"{settings.get('localised', True)}.npz"
+        if not file.exists():
+            plain = {key: value for key, value in settings.items() if not key.startswith("grid") and key != "transfer"}
+            mi.load_dict(plain).prepare_scene(self.scene, progress=False).save(file)
+        return str(file)
 
     def shown(self, name: str, title: str) -> tuple:
         return title, self.display(self.truth if name == "path" else self.images[name])

@@ -22,24 +22,42 @@ def cheapest_grid(table, groups: list, lower, upper, order: int, points: int, sa
 
     `groups`, `max_error`: see :py:class:`mi_shlight.grid.split.NearLists`.
     """
-    facets, edges = table.count, dr.width(table.start)
-    # powers of the order in between and beyond
-    exact, near_edge, node, gather = (np.exp(np.polyval(np.polyfit(np.log(np.add(list(COSTS), 1)), np.log(costs), 1), np.log(order + 1)))
-                                      for costs in zip(*COSTS.values()))
-    read = gather * CORNERS * 4 * (order + 1) ** 2 * table.channels * (len(groups) - 1)
-    best, least = (None, None), points * edges * exact
-    for resolution in RESOLUTIONS:
-        cells = Cells(lower, upper, resolution)
-        if cells.cell_count * facets > MAX_PAIRS:
-            break
-        near = NearLists(cells, table, groups, max_error)
-        if near.row_count(cells) * (4 * (order + 1) ** 2 * table.channels + PACKET) > MAX_NUMBERS:
-            break
-        per_facet = edges / facets
-        cost = ((cells.point_count * facets + CORNERS * near.count) * per_facet * node
-                + points * (read + near.mean_length(cells, samples) * per_facet * near_edge))
+    best, least = (None, None), exact_cost(table, order) * points
+    for cells, near in grids(table, groups, lower, upper, order, max_error):
+        cost = grid_cost(table, groups, cells, near, near.mean_length(cells, samples), order, points)
         if cost < least:
             best, least = (cells, near), cost
-        elif best[0] is not None or cells.point_count * edges * node > least:
+        elif best[0] is not None or cells.point_count * dr.width(table.start) * _costs(order)[2] > least:
             break                                     # finer ones only cost more
     return best
+
+
+def grids(table, groups: list, lower, upper, order: int, max_error: float):
+    """``(cells, near)`` of finer and finer grids, as far as they can be held."""
+    for resolution in RESOLUTIONS:
+        cells = Cells(lower, upper, resolution)
+        if cells.cell_count * table.count > MAX_PAIRS:
+            return
+        near = NearLists(cells, table, groups, max_error)
+        if near.row_count(cells) * (4 * (order + 1) ** 2 * table.channels + PACKET) > MAX_NUMBERS:
+            return
+        yield cells, near
+
+
+def exact_cost(table, order: int) -> float:
+    """Nanoseconds that shading one point by all facets takes."""
+    return dr.width(table.start) * _costs(order)[0]
+
+
+def grid_cost(table, groups: list, cells, near, near_mean: float, order: int, points: int) -> float:
+    """Nanoseconds that a picture of so many points takes by the grid, of which `near_mean` facets are near to a point."""
+    _, near_edge, node, gather = _costs(order)
+    read = gather * CORNERS * 4 * (order + 1) ** 2 * table.channels * (len(groups) - 1)
+    per_facet = dr.width(table.start) / table.count
+    return (cells.point_count * table.count + CORNERS * near.count) * per_facet * node + points * (read + near_mean * per_facet * near_edge)
+
+
+def _costs(order: int) -> list:
+    """Those of COSTS at any order: powers of it in between and beyond."""
+    return [np.exp(np.polyval(np.polyfit(np.log(np.add(list(COSTS), 1)), np.log(costs), 1), np.log(order + 1)))
+            for costs in zip(*COSTS.values())]

@@ -62,13 +62,13 @@ def project_polygon(vertices, x, order: int, method: str = "auto", *, max_error=
     -----
     Relative L2 error at order 14 over a reference set of 62 polygons: ``auto`` 8e-6 in float32 and 1e-12 in float64, also for lights
     1e6 times farther away than they are large, seen edge-on at 1e-6 of their size, and slivers of width 1e-6. The closed forms ``edge``
-    and ``recurrence`` subtract edge terms. Their absolute error (a million random polygons, degenerate ones included) is at most
-    4 eps K, for ``recurrence`` 5 eps more, with ``K = sum 2 tan(T / 2)`` over the angles T under which the edges are seen, mostly about
-    the perimeter; relative to the solid angle it grows as eps / theta for a light of angular size theta. ``quadrature`` keeps to
-    `max_error`, within a factor of 3, up to angular sizes of about 1 radian and is useless close to the light. Where ``auto`` changes
-    from one to the other the values differ by two or three times `max_error`. What is left: points nearly in the light's plane and close
-    to its border, and slivers that span most of a half circle; ``auto`` has the error of ``edge`` there, up to all digits of a small
-    result.
+    and ``recurrence`` subtract edge terms. Their absolute error is at most max(4, 0.6 (order + 1)) eps K for ``edge``, twice that for
+    ``recurrence`` (validation/stability_maps.py), with ``K = sum 2 tan(T / 2)`` over the angles T under which the edges are seen, mostly
+    about the perimeter; relative to the solid angle it grows as eps / theta for a light of angular size theta. ``quadrature`` keeps to
+    `max_error`, within a factor of 3 (7 in float64), up to angular sizes of about 1 radian and is useless close to the light. Where
+    ``auto`` changes from one to the other the values differ by two or three times `max_error`. What is left: points nearly in the light's
+    plane and close to its border, and slivers that span most of a half circle; ``auto`` has the error of ``edge`` there, up to
+    all digits of a small result.
 
     Limits: a vertex at `x` contributes nothing with its two edges; an edge through `x`, and coincident vertices, contribute
     nothing. A polygon whose plane contains `x` has solid angle 0 if `x` is outside; inside, coefficients of degree 1 and more have one

@@ -78,9 +78,9 @@ class ConeFit:
 
     def __init__(self, order: int, eps: float):
         self.order, self.eps = order, eps
-        angles = SMALLEST * (LARGEST / SMALLEST) ** (np.arange(LEVELS) / (LEVELS - 1))
+        angles = half_angle(np.arange(LEVELS))
         identity = [np.eye(order + 1 - m)[np.tril_indices(order + 1 - m)] for m in range(order + 1)]
-        factors = np.stack([*(_packed_factors(angle, order, eps) for angle in angles), np.concatenate(identity)])
+        factors = np.stack([*(packed_factors(angle, order, eps) for angle in angles), np.concatenate(identity)])
         self._size = factors.shape[1]
         self._factors = aligned(mi.Float, factors.ravel())
         self.spread = aligned(mi.Float, np.append(2 * np.sin(angles / 2) ** 2, 1))
@@ -124,12 +124,20 @@ class ConeFit:
 
 
 def cone_fit(order: int, samples: int):
-    """The `fit` for :py:func:`sample_transfer` with so many rays per point; None for orders that are projected in any case.
+    """The `fit` for :py:func:`sample_transfer` with so many rays per point; None for orders that are projected in any case."""
+    return ConeFit(order, cone_eps(samples)) if 0 < order <= MAX_FIT_ORDER else None
 
-    ``eps`` is 1e-5 over their number, 1e-8 at least: few rays say little about the finer shapes that a smaller one would let through. A
-    factor of 10 changes the error of a soft shadow by a tenth (validation/soft_shadows.py).
+
+def cone_eps(samples: int) -> float:
+    """``eps`` for so many rays per point: 1e-5 over their number, 1e-8 at least. Few rays say little about the finer shapes that a smaller
+    one would let through. A factor of 10 changes the error of a soft shadow by a tenth (validation/soft_shadows.py).
     """
-    return ConeFit(order, max(1e-5 / samples, 1e-8)) if 0 < order <= MAX_FIT_ORDER else None
+    return max(1e-5 / samples, 1e-8)
+
+
+def half_angle(level):
+    """Half-angle of the cones of a level, 0 to LEVELS - 1, in radians."""
+    return SMALLEST * (LARGEST / SMALLEST) ** (level / (LEVELS - 1))
 
 
 class Sampled(NamedTuple):
@@ -287,7 +295,7 @@ def _dot(a: list, b: list):
     return total
 
 
-def _packed_factors(angle: float, order: int, eps: float) -> np.ndarray:
+def packed_factors(angle: float, order: int, eps: float) -> np.ndarray:
     """Inverse Cholesky factors of the Gram matrix of (1), block after block for m = 0 .. order, each its lower triangle by rows."""
     node, weight = np.polynomial.legendre.leggauss(order + 1)        # exact: two harmonics make a polynomial of degree 2 order in z
     drop = (1 + node) * math.sin(angle / 2) ** 2                     # 1 - z
