@@ -44,8 +44,9 @@ def project_polygon_gradient(vertices, x, order: int, method: str = "auto") -> t
     8e-6 and 2e-14, for lights at 10 to 1e4 of their sizes up to 2e-5 and 3e-11.
 
     Limits: derivatives grow without bound as `x` comes near the border, or the light near `x`; beyond 1e30 (1e300 in float64) per unit
-    of length they stay finite, but may be too small, and below 1e-30 they lose digits. A vertex at `x`, an edge through `x`, and coincident vertices get 0 from the edges
-    concerned. Finite input never gives NaN; a coordinate that is infinite or NaN makes its lane NaN. Carries no derivatives itself.
+    of length they stay finite, but may be too small, and below 1e-30 they lose digits. A vertex at `x`, an edge
+    through `x`, and coincident vertices get 0 from the edges concerned. Finite input never gives NaN; a coordinate that is infinite or
+    NaN makes its lane NaN. Carries no derivatives itself.
 
     Time to compile: 1 s at order 8, 2 s at 14, 10 s at 20 (float64: twice that). The result grows with vertices times coefficients. For a
     sum ``sum_lm T_lm L_lm`` alone use :py:func:`mi_shlight.shade_polygon_gradient`, for reverse mode :py:func:`mi_shlight.shade_polygon`.
