@@ -536,12 +536,12 @@ def _parser() -> _Parser:
     bake.set_defaults(run=_bake)
 
     plan = commands.add_parser("plan", allow_abbrev=False, help="find the cheapest settings for an error",
-                               description="Look at a scene, in seconds, and find the cheapest settings of shprt whose mean relative error, "
-                               "as compare has it, is what you ask for; with the expected error and time, and why.")
+                               description="Look at a scene, in seconds, and find the cheapest settings of shprt whose mean relative "
+                               "error, as compare has it, is what you ask for; with the expected error and time, and why.")
     _add_scene(plan)
     plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean relative error, such as 0.01 or 1%%")
-    plan.add_argument("--time-limit", type=_number, metavar="T", help="seconds for bake and picture; then the least error in that time if E "
-                      "takes longer")
+    plan.add_argument("--time-limit", type=_number, metavar="T",
+                      help="seconds for bake and picture; then the least error in that time if E takes longer")
     plan.add_argument("--light-margin", type=_number, metavar="X", help="how far lights will move, in scene units; default: the scene's")
     plan.add_argument("--spp", type=_number, default=0, metavar="N", help="samples per pixel to count with; default: the scene's")
     plan.add_argument("--apply", nargs="?", const="", metavar="FILE", help="write the scene with these settings; default name: "

@@ -21,7 +21,8 @@ LAYERS = (
     {"planner"},
     {"cli", "__main__"},
 )
-USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "shading", "plugins", "rendering", "compare", "animation", "planner", "cli"}
+USES_MITSUBA = {"scene", "lights", "moving", "scene_grid", "transfer", "shading", "plugins", "rendering", "compare", "animation", "planner",
+                "cli"}
 
 
 def modules():

@@ -1,1 +1,1 @@
-"""Scripts behind the figures and numbers that this package states; each writes its results to validation/results."""
+"""Scripts behind the figures and numbers that this package states; ``python -m validation`` runs them all and writes one report."""

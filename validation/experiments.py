@@ -91,7 +91,7 @@ GROUPS = {
             "grid_double_sided.png": "A two-sided light amid the scene: exact, by a grid, and with near lights exact"}, 6, timed=True),
         Experiment("grid_inverse", "723 lights from one picture", {
             "grid_inverse.png": "Grey lights at the start, the lights recovered, and the target"}, 4, timed=True),
-        Experiment("large_scene", "Memory of a large scene", {}, 1, timed=True),
+        Experiment("large_scene", "Memory of a large scene", {}, 1),
     ),
     "Shadows, light between surfaces, gloss": (
         Experiment("panels", "Scenes against the path tracer", {

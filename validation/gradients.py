@@ -252,7 +252,7 @@ def print_report(images: list, classes: list, lines: list) -> None:
 
 def main(arguments=None) -> None:
     options = experiment.options(
-        __doc__, arguments, size={"type": int, "default": 128, "help": "pixels along a side of the images (default: %(default)s)"},
+        __doc__, arguments, size={"type": int, "default": 64, "help": "pixels along a side of the images (default: %(default)s)"},
         order={"type": int, "default": 14, "help": "of the classes, at most 14 (default: %(default)s)"})
     cases, size, order, steps = reference.reference_cases(), options.size, options.order, STEPS
     if options.quick:

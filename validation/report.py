@@ -6,6 +6,8 @@ went. Pictures are shrunk so far that the file stays below `LIMIT`; the original
 from __future__ import annotations
 
 import base64
+import bisect
+import functools
 import io
 import json
 import math
@@ -25,7 +27,7 @@ REPORT = "report.html"
 LIMIT = 980_000
 """Bytes."""
 QUALITIES = ((1000, 60), (1000, 45), (900, 38), (800, 32), (720, 26), (660, 22), (600, 18), (520, 14), (440, 10))
-"""(largest width in pixels, quality of WebP), tried in turn."""
+"""(largest width in pixels, quality of WebP), best first."""
 ROWS, COLUMNS = 12, 12
 """Of a table; the rest is in the JSON."""
 RUN_KEYS = ("status", "seconds", "cpu_seconds", "quick", "commit", "output")
@@ -65,13 +67,12 @@ def write(folder: pathlib.Path) -> pathlib.Path:
     text = Report(folder).html()
     names = [name for entry in EXPERIMENTS.values() for name in entry.pictures if (folder / name).is_file()]
     pictures = {name: opened(folder / name) for name in names}
-    for width, quality in QUALITIES:
-        found = {name: data_uri(picture, width, quality) for name, picture in pictures.items()}
-        if len(text.encode()) + sum(map(len, found.values())) <= LIMIT:
-            break
-    else:
+    encoded = functools.cache(lambda step: {name: data_uri(picture, *QUALITIES[step]) for name, picture in pictures.items()})
+    fits = lambda step: len(text.encode()) + sum(map(len, encoded(step).values())) <= LIMIT
+    best = bisect.bisect_left(range(len(QUALITIES)), True, key=fits)
+    if best == len(QUALITIES):
         raise ValueError(f"write(): the report of '{folder}' does not fit into {LIMIT} bytes")
-    for name, uri in found.items():
+    for name, uri in encoded(best).items():
         text = text.replace(placeholder(name), uri)
     with replacing(folder / REPORT) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -43,7 +43,7 @@ NOISE = 0.4
 """Deviation by the choice of rays over that of the bake's estimate, which takes them as independent: measured 0.26 to 0.44, at 64 to 1024
 rays, orders 2 and 5, projected and localised."""
 
-UNSEEN = 0.25
+UNSEEN = 0.1
 """Deviation of the visibility where all rays agree, in shares of a ray that meets the light."""
 
 BETWEEN = 0.5

@@ -19,9 +19,9 @@ GRADIENT_SEED = mi.sample_tea_32(7, 1)[0]
 PENTAGON = [(np.cos(a), np.sin(a)) for a in 2 * np.pi * np.arange(5) / 5]
 OPEN, OCCLUDED = {}, {"block": lambda: block([-0.3, 0.3, -0.3], [0.3, 0.6, 0.3])}
 MESHES = {"box": lambda: box(), "panel": lambda: panel()}
-VERTEX = {"transfer": "shadowed", **QUICK, "light_margin": 0.5}
+VERTEX = {"transfer": "shadowed", **QUICK, "order": 2, "light_margin": 0.5}
 """The margin keeps one bake for all steps of the differences: transfer is held fixed."""
-PIXEL = {"order": 3, "transfer_domain": "pixel", "transfer_samples": 16, "method": "edge"}
+PIXEL = {"order": 2, "transfer_domain": "pixel", "transfer_samples": 16, "method": "edge"}
 
 
 def along(count, seed):
@@ -113,8 +113,8 @@ def rectangle_floor():
 
 
 CONFIGURATIONS = {
-    "unshadowed": ({**UNSHADOWED, "order": 5}, OPEN, [*LIGHTS, "floor lifted", "floor tilted", "camera"]),
-    "unshadowed, edge": ({**UNSHADOWED, "order": 4, "method": "edge"}, {"floor": rectangle_floor}, ["corners", "lamp", "floor turned"]),
+    "unshadowed": ({**UNSHADOWED, "order": 3}, OPEN, [*LIGHTS, "floor lifted", "floor tilted", "camera"]),
+    "unshadowed, edge": ({**UNSHADOWED, "order": 2, "method": "edge"}, {"floor": rectangle_floor}, ["corners", "lamp", "floor turned"]),
     "unshadowed, recurrence": ({**UNSHADOWED, "order": 3, "method": "recurrence"}, OPEN, ["corners", "floor tilted"]),
     "normals": ({**UNSHADOWED, "order": 3, "method": "edge"}, {"floor": rounded_floor}, ["corners", "normals"]),
     "coefficients": ({**UNSHADOWED, "order": 2, "method": "edge", "coefficients": True}, OPEN, ["corners", "radiance", "floor lifted"]),

@@ -66,8 +66,8 @@ def test_envmap_is_what_mitsuba_evaluates(variant, transform):
 def test_remainder(smooth):
     """The norm of what a map's coefficients leave: not less, and nearly that if the map is smooth; nothing of a constant sky."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, 33), (np.arange(64) + 0.5) * np.pi / 32, indexing="ij")
-    random = np.random.default_rng(1).random((33, 64, 3))
-    pixels = np.exp(3 * np.sin(theta) * np.cos(phi))[..., None] * [1.0, 0.5, 0.2] if smooth else random
+    bright = np.exp(3 * np.sin(theta) * np.cos(phi))[..., None] * [1.0, 0.5, 0.2]
+    pixels = bright if smooth else np.random.default_rng(1).random((33, 64, 3))
     found = np.ravel(DistantLights(scene(sky=envmap(pixels, to_world=PLACE)), 2).attached().remainder())
     pixels = pixels.astype(np.float32).astype(np.float64)
     fine = np.linspace(0, 32, 32 * 8 + 1)             # the bilinear map on a grid eight times as fine
