@@ -169,7 +169,9 @@ class Differentiator:
         dr.enable_grad(amounts)
         image = self.render(amounts, 7)
         dr.backward(dr.sum(image * mi.TensorXf(self.weights(image.shape)), axis=None))
-        return np.array([dr.grad(t)[0] for t in amounts])
+        slopes = dr.grad(amounts)
+        dr.eval(slopes)                               # all at once: read one by one each would compile the derivative anew
+        return np.array([slope[0] for slope in slopes])
 
     def forward(self, rates):
         """Derivative along all moves at once, each at its rate."""
