@@ -154,17 +154,16 @@ interpolated between wavelengths 5 nm apart.
 interpolates their pixels; their transfer, of rays that leave the scene, is projected over the sphere, for ``exact`` too. ``directional``,
 ``point``, ``spot`` and ``projector`` lights are exact, with a ray for the shadow at each hit (and no shadow if ``unshadowed``).
 
-**Errors.** With ``errors`` each pixel says how far off it may be. ``truncation_bound`` is a bound of what the band limit costs: exact where
-nothing is hidden, zero where localised transfer sees all of a light or nothing of it, and in shadows the residual of the fit, or of the
-projection, times what the harmonics leave of the light. The band limit mostly costs less: the medians of bound over error, as measured,
-are 1 for unshadowed transfer and about 8 in localised shadows, with no pixel above the bound (validation/bounds.py). A bound knows what the
-rays of its transfer vector have met. What they may have missed, a thin shadow on a light that few rays meet, is part of
-``transfer_error``: an estimate, one standard deviation, of the rays' noise and of the interpolation between baked points. It has no
-idea of a shadow that falls between the points. ``grid_error`` is the estimate by which near and far lights are told apart, root mean square
-over a cell, measured for ``hermite``; 0 without a grid. With ``interreflected`` the bound takes the way of the light that it is about from
-surface to surface; the rays that gather light there are not judged, nor are lights without an extent, which have no band limit.
-``total_error`` is near to the largest error of a picture rather than to its mean. Computing all this takes a few times as long as the
-picture, with ``pixel`` all rays once more.
+**Errors.** With ``errors`` each pixel says how far off it may be. ``truncation_bound`` bounds what the band limit costs: it is that very
+error where nothing is hidden, zero where localised transfer sees all of a light or nothing of it, in shadows the residual of the fit, or
+of the projection, times what the harmonics leave of the light. In localised shadows the band limit costs less, an eighth of the bound in
+the median; of hundreds of lights, each of which may err by all of it, the bound says little (validation/bounds.py). It knows of an
+occluder what the rays of a transfer vector have met. ``transfer_error`` is an estimate, one standard deviation: of the choice of rays,
+of what they may have missed (in projected transfer few of them meet a small light), and of the interpolation between baked points. A
+shadow that falls between the points is unknown to it. ``grid_error`` is the estimate by which near and far lights are told apart, root
+mean square over a cell, measured for ``hermite``; 0 without a grid. With ``interreflected`` the bound of what each surface gets is sent on
+as its light is; the rays that gather light are not judged. Lights without an extent have no band limit. ``total_error`` covers nearly all
+pixels, and so lies well above their mean error. All this takes a few times as long as the picture, with ``pixel`` all rays once more.
 
 **Light grid.** With a grid the time for a picture hardly depends on the number of lights: it is made anew for each picture, from where the
 lights are, while the transfer is kept within ``light_margin``. It pays from about 50 triangles on. ``grid_error`` is an estimate, kept in

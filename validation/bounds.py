@@ -396,31 +396,33 @@ def plot_curves(rows: list, path) -> None:
             for key, style in (("error", "-"), ("bound", "--")):
                 axis.plot([row["order"] for row in own], [max(row[key], 1e-5) for row in own], style, color=f"C{i}", marker=".",
                           label=name if key == "error" else None)
-        axis.set(title=f"{kind}: mean error (line), bound (dashed)", xlabel="order", yscale="log")
+        axis.set(title=f"{kind}: mean error, bound (dashed)", xlabel="order", yscale="log")
     axes[1].legend(fontsize=7)
     for axis in axes:
+        axis.set_xticks(sorted({row["order"] for row in rows}))
         axis.grid(True, which="both", alpha=0.3)
     figure.savefig(path, dpi=80)
     plt.close(figure)
 
 
 def plot_maps(maps: dict, path) -> None:
-    """What is due, errors and bounds on one scale, and their ratio."""
+    """Localised transfer, order 4: what is due; errors and bounds over its brightest; and their ratio. Grey shows no surface."""
     titles = {"due": "what is due", "error": "error of the picture", "truncation_bound": "truncation_bound",
               "transfer_error": "transfer_error", "total_error": "total_error", "ratio": "total_error / error"}
     figure, axes = plt.subplots(len(maps), len(titles), figsize=(2 * len(titles), 2.05 * len(maps)), layout="constrained", squeeze=False)
+    for axis, title in zip(axes[0], titles.values()):
+        axis.set_title(title, fontsize=8)
     for line, (name, found) in zip(axes, maps.items()):
         side = math.isqrt(len(found["lit"]))
         white = np.quantile(found["due"][found["lit"]], 0.95)
         ratio = found["total_error"] / np.maximum(found["error"], 1e-4 * white)
-        for axis, (key, title) in zip(line, titles.items()):
-            values = np.where(found["lit"], ratio if key == "ratio" else found[key] / white, np.nan).reshape(side, side)
+        for axis, key in zip(line, titles):
+            values = ratio if key == "ratio" else np.maximum(found[key] / white, 1e-4)
+            values = np.where(found["lit"], values, np.nan).reshape(side, side)
             style = {"due": {"cmap": "gray", "vmin": 0, "vmax": 1}, "ratio": {"cmap": "RdBu", "norm": LogNorm(0.01, 100)}}
             shown = axis.imshow(values, **style.get(key, {"cmap": "magma", "norm": LogNorm(1e-4, 1)}))
             axis.set(xticks=[], yticks=[])
             axis.set_facecolor("0.8")
-            if line is axes[0]:
-                axis.set_title(title, fontsize=8)
             if key in ("total_error", "ratio"):
                 figure.colorbar(shown, ax=axis, shrink=0.8).ax.tick_params(labelsize=6)
         line[0].set_ylabel(name, fontsize=8)

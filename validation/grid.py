@@ -55,6 +55,7 @@ FIRST_CALL_POINTS = 1024
 
 def first_call(task: dict) -> dict:
     """Seconds of the first grid and of the first shading with it in this process."""
+    grid_cost.ORDER = task["order"]
     scene = grid_cost.table_scene("Plants", 0.02)
     points = grid_cost.receivers(scene, FIRST_CALL_POINTS)
     made = []
@@ -68,7 +69,7 @@ def first_call(task: dict) -> dict:
 def measure_first_calls(record: GridRecord, plan: Plan) -> None:
     for variant in grid_cost.TARGETED:
         print(f"first call: {variant}", file=sys.stderr, flush=True)
-        found = [record.attempt(f"first call, {variant}", lambda: in_fresh_process(1, "validation.grid", variant=variant))
+        found = [record.attempt(f"first call, {variant}", lambda: in_fresh_process(1, "validation.grid", variant=variant, order=plan.order))
                  for _ in range(plan.rounds)]
         if all(found):
             for what in found[0]:
@@ -84,7 +85,7 @@ def measure_resolutions(record: GridRecord, plan: Plan, out: pathlib.Path) -> No
 
 
 def measure_double_sided(record: GridRecord, plan: Plan, out: pathlib.Path) -> None:
-    pictures = grid_pictures.double_sided_pictures(plan.picture, 16, (1e-2, VARIANTS[SPLIT][1]))
+    pictures = grid_pictures.double_sided_pictures(plan.picture, 16, (1e-2, VARIANTS[SPLIT][1]), order=plan.order)
     grid_pictures.record_errors(record, "double_sided", pictures)
     grid_pictures.draw(pictures, grid_pictures.DIFFERENCE_SCALE["double_sided"], out / "grid_double_sided.png")
 
@@ -97,7 +98,7 @@ PARTS = {
     "shared_edges": (("shared_edges",), lambda record, plan, _: grid_cost.measure_shared_edges(record, plan)),
     "moving": (("moving",), lambda record, plan, _: grid_cost.measure_moving_lights(record, plan)),
     "moving_scene": (("moving_scene",), lambda record, plan, _: grid_pictures.measure_moving_scene(
-        record, plan.moving_points, plan.frames, VARIANTS[SPLIT][1])),
+        record, plan.moving_points, plan.frames, VARIANTS[SPLIT][1], plan.order)),
     "first_call": (("first_call",), lambda record, plan, _: measure_first_calls(record, plan)),
     "double_sided": (("pictures",), lambda record, plan, out: measure_double_sided(record, plan, out)),
 }
@@ -117,6 +118,7 @@ def main(arguments=None) -> int:
     mi.set_variant("llvm_ad_rgb")
 
     plan, record = QUICK if options.quick else Plan(), GridRecord()
+    grid_cost.ORDER = plan.order
     path, runs = options.out / "grid.json", {}
     if options.only and path.exists():
         earlier = json.loads(path.read_text())

@@ -22,6 +22,7 @@ from validation.experiment import significant
 from validation.grid_scenes import W20, Lights, Scene, placed, table_scene, textured
 
 ORDER, RESOLUTION = 8, 8
+"""The order is that of the plan: validation.grid sets it."""
 CHUNK = 1 << 16
 """Points that are shaded at once: memory does not grow with the scene."""
 DISPLAY_MEAN = 0.4
@@ -38,6 +39,7 @@ TWO_SIDED, FLAT, BY_FACE = SIDES = ("both sides", "one side, flat", "one side, f
 class Plan(NamedTuple):
     """Sizes to measure."""
 
+    order: int = ORDER
     scale: float = 1.0
     """Of the scenes' triangles."""
     scenes: tuple = tuple(W20)
@@ -60,7 +62,7 @@ class Plan(NamedTuple):
     """Resolutions."""
 
 
-QUICK = Plan(scale=0.01, scenes=("Plants",), subset=256, w18_subset=32, rounds=1, samples=(5, 10, 20, 40), light_counts=(1, 8),
+QUICK = Plan(order=3, scale=0.01, scenes=("Plants",), subset=256, w18_subset=32, rounds=1, samples=(5, 10, 20, 40), light_counts=(1, 8),
              resolutions=(4,), sweep_points=256, shared_side=4, shared_points=64, moving_points=256, frames=1, picture=32, pictured=(4,))
 
 

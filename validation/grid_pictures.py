@@ -89,7 +89,7 @@ def double_sided_pictures(size: int, spp: int, max_errors: tuple, **settings) ->
     return pictures
 
 
-def measure_moving_scene(record: Record, pixels: int, frames: int, max_error: float) -> None:
+def measure_moving_scene(record: Record, pixels: int, frames: int, max_error: float, order: int) -> None:
     """``many_lights.xml``, unshadowed, one sample per pixel: all lights are moved and coloured through `mi.traverse` in every frame."""
     size = math.ceil(math.sqrt(pixels))
     scene = mi.load_file(str(ROOT / "scenes" / "many_lights.xml"), optimize=False, resx=size, resy=size)
@@ -100,7 +100,7 @@ def measure_moving_scene(record: Record, pixels: int, frames: int, max_error: fl
     lights = Lights(corners, np.arange(len(corners)).reshape(-1, 3), colours)
     for variant, settings in (("exact", {}), ("hermite", {"grid_resolution": 8, "grid_error": 0}),
                               (SPLIT, {"grid_resolution": 8, "grid_error": max_error})):
-        integrator = mi.load_dict({"type": "shprt", "transfer": "unshadowed", **settings})
+        integrator = mi.load_dict({"type": "shprt", "order": order, "transfer": "unshadowed", **settings})
         times = {"move": [], "render": []}
         for frame in range(frames + 1):
             start = time.process_time()

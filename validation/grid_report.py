@@ -7,9 +7,10 @@ import pathlib
 import numpy as np
 
 from mi_shlight.grid.cells import INTERPOLATIONS
+from validation import grid_cost
 from validation.engine_report import Record, columns, linear_fit
 from validation.experiment import verdict
-from validation.grid_cost import BY_FACE, ORDER, RESOLUTION, TARGETED
+from validation.grid_cost import BY_FACE, RESOLUTION, TARGETED
 from validation.grid_interpolation import DEGREE, INDEX, LINES, OFF_AXIS, SAMPLES, convergence_order, on_line
 from validation.grid_scenes import W20
 
@@ -77,7 +78,7 @@ def fitted_order(record: GridRecord, place: str, interpolation: str) -> float:
 
 
 def print_tables(record: GridRecord) -> None:
-    print(f"\n[W20] Table 1 anew: {RESOLUTION}^3 points, order {ORDER}; milliseconds of ours, in brackets theirs (on a GPU)")
+    print(f"\n[W20] Table 1 anew: {RESOLUTION}^3 points, order {grid_cost.ORDER}; milliseconds of ours, in brackets theirs (on a GPU)")
     heads = "".join(f"{head:>20s}" for head in ("coefficients", "with gradients", "interpolation", "total"))
     print(f"{'scene':16s} {'triangles':>9s} {'lights':>6s}{heads}")
     for row in record.rows["scenes"]:

@@ -10,7 +10,6 @@ import numpy as np
 
 mi.set_variant("llvm_ad_rgb")
 
-from validation.glossy import MATERIALS  # noqa: E402
 from validation.grid_cost import exposure  # noqa: E402
 from validation.grid_scenes import Lights, Points, frame  # noqa: E402
 from mi_shlight.panel import srgb  # noqa: E402
@@ -19,9 +18,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 MATT = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_albedo"}}}
-GLOSSY = {"type": "blendbsdf", "weight": 0.5, "matt": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.7}},
-          "phong": MATERIALS["phong 20"]}
-"""As the papers' glossy surfaces: half diffuse, half Phong."""
+GLOSSY = {"type": "principled", "roughness": 0.5, "metallic": 0.5, "base_color": {"type": "rgb", "value": 0.7}}
+"""For the papers' glossy surfaces, whose lobe is Phong's: half diffuse, half metal with a lobe about as wide as that of exponent 30."""
 SQUARE = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
 NO_REFINEMENT = 1e3
 """`max_edge` of ``shprt`` for surfaces that are baked at their own vertices, as in the papers."""
@@ -110,7 +108,7 @@ class Display:
         return np.round(255 * self(image))
 
 
-def draw_sheet(path: pathlib.Path, rows: list, width: float = 2.2, dpi: int = 80, outlines: list | None = None) -> None:
+def draw_sheet(path: pathlib.Path, rows: list, width: float = 2.2, dpi: int = 72, outlines: list | None = None) -> None:
     """Pictures in `rows` of (label, [(title, picture or None)]): display values (H, W, 3), or signed values (H, W) from blue over white at
     0 to red at 0.1.
 

@@ -78,7 +78,7 @@ class Plan(NamedTuple):
     """Pixels along a side; a multiple of 8."""
     grid_size: int = 64
     scenes: tuple = DIRECT
-    reference_spp: tuple = (("cornell_box", 2048), ("plant", 4096), ("sculpture", 4096), (FLOOR, 2048), (BOUNCED, 8192), (GRID_SCENE, 2048))
+    reference_spp: tuple = (("cornell_box", 2048), ("plant", 4096), ("sculpture", 4096), (FLOOR, 2048), (BOUNCED, 8192), (GRID_SCENE, 1024))
     pass_spp: int = 256
     orders: tuple = ((UNSHADOWED, (8,)), (PROJECTED, (4, 8, 14)), (LOCALISED, (2, 4, 8, 14)), (EXACT, (8,)))
     all_orders: tuple = ((UNSHADOWED, (0, 1, 2, 3, 4, 6, 8, 11, 14, 17, 20)), (PROJECTED, (0, 1, 2, 4, 6, 8, 11, 14, 20)),
@@ -101,6 +101,7 @@ class Plan(NamedTuple):
     bake: tuple = ()
     """Parameters of all bakes, where they are not what is varied."""
     grid_file: str = GRID_SCENE
+    grid_floor_spp: int = 16
     resolutions: tuple = (4, 8, 16)
     interpolations: tuple = ("hermite", "tricubic", "trilinear")
     grid_rays: int = 256
@@ -117,11 +118,11 @@ class Plan(NamedTuple):
 
 QUICK = Plan(size=16, grid_size=16, scenes=("cornell_box",), reference_spp=tuple((name, 64) for name, _ in Plan().reference_spp),
              pass_spp=32, orders=(), all_orders=tuple((family, (2,)) for family in (UNSHADOWED, PROJECTED, LOCALISED, EXACT)),
-             bounce_orders=(2,), spp=(4,), default_spp=(16,),
-             rival_spp=((INDEPENDENT, (4, 16)), (STRATIFIED, (4, 16))), floor_spp=4, rays=(64,), edges=(0.8,), margins=(5,),
-             margin_orders=(2,), pixel_rays=(16,), curves=((LOCALISED, 2),), bake=(("transfer_samples", 16), ("max_edge", 0.4)),
-             grid_file="cornell_box", resolutions=(2,), interpolations=("hermite",), grid_rays=4, grid_order=2, precision_orders=(2,),
-             distances=(2,), points=1 << 10, rounds=0, first_pictures=False)
+             bounce_orders=(2,), spp=(4,), default_spp=(16,), rival_spp=((INDEPENDENT, (4, 16)), (STRATIFIED, (4, 16))), floor_spp=4,
+             rays=(64,), edges=(0.8,), margins=(5,), margin_orders=(2,), pixel_rays=(16,), curves=((LOCALISED, 2),),
+             bake=(("transfer_samples", 16), ("max_edge", 0.4)), grid_file="cornell_box", grid_floor_spp=4, resolutions=(2,),
+             interpolations=("hermite",), grid_rays=4, grid_order=2, precision_orders=(2,), distances=(2,), points=1 << 10, rounds=0,
+             first_pictures=False)
 
 
 class Contender(NamedTuple):
@@ -319,8 +320,8 @@ def measure_grid(record: ParetoRecord, plan: Plan) -> None:
                  for interpolation in plan.interpolations for resolution in plan.resolutions]
         ours += [Contender("hermite, near lights exact", resolution, {**plain, "grid_resolution": resolution}, plan.spp)
                  for resolution in plan.resolutions]
-        measure(record, GRID_SCENE, subject, rivals(plan, RIVALS), plan)
-        plugins = measure(record, GRID_SCENE, subject, ours, plan, spent)
+        measure(record, GRID_SCENE, subject, rivals(plan, {name: RIVALS[name] for name in (PATH, "direct")}), plan)
+        plugins = measure(record, GRID_SCENE, subject, ours, plan._replace(floor_spp=plan.grid_floor_spp), spent)
         images = {key: subject.render(plugin, STRATIFIED, plan.spp[0]) for key, plugin in plugins.items()}
     without = images.pop(("no grid", 0))
     for (family, setting), image in images.items():
@@ -413,7 +414,7 @@ def main(arguments=None) -> int:
     print_verdicts(record, lines)
     plot(record, parsed.out / "pareto.png")
     plot_axes(record, parsed.out / "pareto_axes.png")
-    write(parsed.out / "pareto.json", {"targets": lines, "failures": record.failures, **record.rows}, parsed.quick)
+    write(parsed.out / "pareto.json", {"targets": lines, "failures": record.failures, **record.packed()}, parsed.quick)
     return int(bool(record.failures))
 
 

@@ -67,18 +67,19 @@ def plot(record: ParetoRecord, path: pathlib.Path) -> None:
             rows = sorted(record.find("pictures", scene=scene, family=default, setting=STANDARD_ORDER, sampler=STRATIFIED),
                           key=lambda r: r["spp"])
             labelled(axis, [(r["seconds"], r[kind]) for r in rows], ["" for r in rows], marker="x", linestyle="--", linewidth=1, color="C3",
-                     label=f"{default} {STANDARD_ORDER}, {', '.join(str(r['spp']) for r in rows)} spp")
+                     label="order 8, grid 8, with 1 or 4, 16, 64, 256 samples per pixel")
             axis.axhline(record.only("references", scene=scene)[kind], color="black", linewidth=0.6, linestyle="-.",
                          label="noise of the reference (subtracted)")
             axis.set(xlabel="seconds for a picture")
             decorate(axis)
         axes[0][column].set_title(scene)
-        axes[0][column].legend(fontsize=6.5, loc="upper right")
+    legend = dict(pair for axis in axes[0] for pair in zip(*axis.get_legend_handles_labels()[::-1]))
+    figure.legend(legend.values(), legend.keys(), fontsize=8, loc="outside lower center", ncols=min(len(legend), 2 * len(scenes)))
     for row, label in enumerate(KINDS.values()):
         axes[row][0].set_ylabel(label)
     figure.suptitle("Error against time, without bake and compilation. shprt: 16 samples per pixel, labels are orders (with a grid: its "
                     "points along an axis); path: labels are samples per pixel; multijitter unless said otherwise", fontsize=11)
-    figure.savefig(path, dpi=72)
+    figure.savefig(path, dpi=64)
     plt.close(figure)
 
 
@@ -133,7 +134,7 @@ def plot_axes(record: ParetoRecord, path: pathlib.Path) -> None:
         values = [row[part] for row in rows]
         first.barh([row["integrator"] for row in rows], values, left=left, label=f"{part}, with compilation" if part != "load" else part)
         left = [a + b for a, b in zip(values, left or [0] * len(rows))]
-    first.set(title="first picture, empty kernel cache, Cornell box", xlabel="seconds")
+    first.set(title="first picture, no kernels on disk, Cornell", xlabel="seconds")
     for axis in axes.flat[:-1]:
         decorate(axis)
     for axis in (axis for axis in axes.flat if axis.get_legend_handles_labels()[0]):

@@ -32,10 +32,33 @@ class ParetoRecord(Record):
     def __init__(self, rows: dict | None = None):
         super().__init__()
         self.rows = {name: (rows or {}).get(name, []) for name in self.TABLES}
+        self.rows["pictures"] = [picture for row in self.rows["pictures"] for picture in unpacked(row)]
 
     def only(self, table: str, **keys) -> dict:
         """The first such row; empty if there is none."""
         return next(iter(self.find(table, **keys)), {})
+
+
+    def packed(self) -> dict:
+        """All rows, those of pictures that differ only in their samples in one, with lists, which `ParetoRecord` takes as well."""
+        found = {}
+        for picture in self.rows["pictures"]:
+            key = tuple(value for name, value in picture.items() if name not in SAMPLED)
+            row = found.setdefault(key, {**picture, **{name: [] for name in SAMPLED}})
+            for name in SAMPLED:
+                row[name].append(picture[name])
+        return {**self.rows, "pictures": list(found.values())}
+
+
+SAMPLED = ("spp", "error", "blocks", "seconds")
+"""What differs between pictures of one setting."""
+
+
+def unpacked(row: dict) -> list:
+    """The pictures of a row of :py:meth:`ParetoRecord.packed`."""
+    if not isinstance(row["spp"], list):
+        return [row]
+    return [{**row, **dict(zip(SAMPLED, values))} for values in zip(*(row[name] for name in SAMPLED))]
 
 
 # Laws.
@@ -225,7 +248,7 @@ def precision_table(record: ParetoRecord) -> str:
         row = {"order": str(order), "distance in sizes": f"{distance:g}"}
         for method in dict.fromkeys(row["method"] for row in record.rows["precision"]):
             found = record.find("precision", order=order, distance=distance, method=method)
-            row[f"`{method}`: {' / '.join(PRECISIONS)}"] = ", ".join((" / ".join(f"{one['ns']:.2g}" for one in found) + " ns",
+            row[f"`{method}`: {' / '.join(PRECISIONS)}"] = ", ".join((" / ".join(count(one['ns']) for one in found) + " ns",
                                                                      " / ".join(f"{one['error']:.0e}" for one in found)))
         rows.append(row)
     return markdown(rows)

@@ -2,20 +2,23 @@
 
     python -m validation.planner [--quick] [--out DIR] [--only SCENE ...]
 
-writes ``planner.json`` and ``planner.png``. Five scenes, made here and used for nothing else, different in kind: one light over an open
-floor; columns under two lights; a room with light between its walls; 201 triangles of light over a knot; glossy things under a light and a
-sky. For each the planner is asked for 5 %, 1 % and 0.2 %. Then:
+writes ``planner.json`` and ``planner.png``. Five scenes, different in kind: one light over an open floor; columns under two lights; a room
+with light between its walls; 201 triangles of light over a knot; glossy things under a light and a sky. Errors are not fitted to any scene,
+but the safety margin was set after a look at columns, gloss and triangles; and of the constants of time those of baked points were measured
+on columns, those of gloss on the glossy scene: only the open floor, the room and the triangles are held out there. For each the planner is
+asked for 5 %, 1 % and 0.2 %. Then:
 
 - **error**: mean relative error of the picture with the planned settings against Mitsuba's ``path`` or ``direct`` (with as many bounces as
-  were asked for), as ``mi-shlight compare`` has it; half the difference of two pictures with other seeds is the noise of each side and is
-  taken off, in quadrature. ``met`` compares it with what was asked for;
+  were asked for), as ``mi-shlight compare`` has it, but without noise. There are two pictures of each, with other seeds; the product of
+  both differences between planned and path-traced ones has the squared error as its mean, whatever the noise, and is averaged over 5 x 5
+  pixels. A third of the noise is left. ``met`` compares it with what was asked for;
 - **time**: bake and picture, the best of three after kernels are compiled, with the samples per pixel that the plan was made for; both as
   measured by the clock and by the processor, over its threads;
 - **largest**: what order 14, ``exact``, 1024 rays per point and cells of half the default's size take, gloss and bounces as the scene needs
   them, no grid: measured where that is a matter of seconds, else as the planner predicts.
 
-``within 2x`` is whether prediction and measurement differ by less than a factor of two. Errors that are less than the noise, and
-predictions that are less than a third of what was asked for, count as within if both are below that.
+``within 2x`` is whether prediction and measurement differ by less than a factor of two; errors also count if both are below half the noise
+or a third of what was asked for.
 """
 from __future__ import annotations
 
@@ -157,17 +160,24 @@ class Reference:
 
     def __init__(self, what, spp: int):
         self.scene = what
-        half = [picture(what, what.integrator(), spp // 2, seed) for seed in (1, 2)]
-        self.image, self.mask = np.mean(half, axis=0), shaded_pixels(what)
-        self.noise = image_errors(half[0], self.image, self.mask)["mean_relative"]
+        self.halves = [picture(what, what.integrator(), spp // 2, seed) for seed in (1, 2)]
+        self.mask = shaded_pixels(what)
 
     def error(self, integrator, spp: int) -> tuple:
         """(mean relative error without noise, noise)."""
-        half = [picture(self.scene, integrator, spp // 2, seed) for seed in (11, 12)]
-        mine = np.mean(half, axis=0)
-        noise = float(np.hypot(self.noise, image_errors(half[0], mine, self.mask)["mean_relative"]))
-        found = image_errors(mine, self.image, self.mask)["mean_relative"]
-        return float(np.sqrt(max(found ** 2 - noise ** 2, 0))), noise
+        mine = [picture(self.scene, integrator, spp // 2, seed) for seed in (11, 12)]
+        noise = [image_errors(half[0], np.mean(half, axis=0), self.mask)["mean_relative"] for half in (self.halves, mine)]
+        total = np.mean(self.halves, axis=0)[self.mask].sum()
+        a, b, c, d = *mine, *self.halves
+        square = ((a - c) * (b - d) + (a - d) * (b - c)) / 2 * self.mask[..., None]
+        near = windowed(square) / np.maximum(windowed(self.mask[..., None].astype(float)), 1e-9)
+        return float(np.sqrt(np.maximum(near, 0))[self.mask].sum() / total), float(np.hypot(*noise))
+
+
+def windowed(image: np.ndarray, reach: int = 2) -> np.ndarray:
+    """Sums over the pixels around each, as far as `reach`."""
+    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)))
+    return np.lib.stride_tricks.sliding_window_view(padded, (2 * reach + 1, 2 * reach + 1), axis=(0, 1)).sum(axis=(-2, -1))
 
 
 def seconds(what, settings: dict, repeats: int) -> dict:
@@ -206,7 +216,7 @@ def measure(name: str, pixels: int, reference_spp: int, spp: int, repeats: int, 
         if target == targets[-1] and largest["seconds"] < largest_seconds:
             slow = seconds(what, largest["settings"], 1)
             row.update({"largest seconds": slow["bake"] + slow["render"], "largest measured": True})
-        row["error within 2x"] = within(row["predicted error"], error, max(noise, target / 3))
+        row["error within 2x"] = within(row["predicted error"], error, max(noise / 2, target / 3))
         row["time within 2x"] = within(row["predicted seconds"], row["seconds"], 0)
         rows.append(row)
         print(f"{name:<11} {target:6.1%}  {error:7.2%} (predicted {found.error:7.2%}, noise {noise:.2%})  {row['seconds']:7.2f} s "
@@ -218,6 +228,14 @@ def measure(name: str, pixels: int, reference_spp: int, spp: int, repeats: int, 
 def within(predicted: float, measured: float, floor: float) -> bool:
     """Whether they differ by less than a factor of 2, or are both below `floor`."""
     return max(predicted, measured) <= floor or 0.5 <= predicted / max(measured, 1e-12) <= 2
+
+
+def judged(rows: list) -> list:
+    """Verdicts over all rows."""
+    share = lambda text, values: experiment.verdict(f"{text}: all", float(np.mean(values)) if values else None, 1.0, False, "{:.0%}")
+    return [share("plans that keep the error they promise", [row["met"] for row in rows if row["promised"]]),
+            share("errors predicted within 2x", [row["error within 2x"] for row in rows]),
+            share("times predicted within 2x", [row["time within 2x"] for row in rows])]
 
 
 def draw(rows: list, path) -> None:
@@ -234,6 +252,9 @@ def draw(rows: list, path) -> None:
             ax.plot([scale * max(row[predicted], 1e-5) for row in own], [scale * max(row[key], 1e-5) for row in own], "os^Dv"[k % 5],
                     label=name, ms=7, alpha=0.85)
         ax.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high), xlabel=f"predicted {title}", ylabel=f"measured {title}")
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
         if key == "error":
             for target in sorted({row["asked"] for row in rows}):
                 ax.axhline(100 * target, color="tab:red", lw=0.7, ls=":")
@@ -246,14 +267,11 @@ def draw(rows: list, path) -> None:
 
 def main(arguments=None) -> None:
     options = experiment.options(__doc__, arguments, only={"nargs": "+", "choices": list(SCENES), "metavar": "SCENE"})
-    size = (24, 64, 32, 1, (0.02,), 0) if options.quick else (64, 8192, 512, REPEATS, TARGETS, LARGEST_SECONDS)
+    size = (24, 64, 32, 1, (0.02,), 0) if options.quick else (64, 32768, 1024, REPEATS, TARGETS, LARGEST_SECONDS)
     rows = [row for name in options.only or (("open floor", "columns") if options.quick else SCENES)
             for row in measure(name, *size)]
     saved = [row["largest seconds"] / row["seconds"] for row in rows]
-    share = lambda text, values: experiment.verdict(f"{text}, at least", 1.0, float(np.mean(values)) if values else None, at_most=False)
-    targets = [share("share of plans that keep the error they promise", [row["met"] for row in rows if row["promised"]]),
-               share("share of errors predicted within 2x", [row["error within 2x"] for row in rows]),
-               share("share of times predicted within 2x", [row["time within 2x"] for row in rows])]
+    targets = judged(rows)
     report = {"rows": rows, "targets": targets, "largest over planned seconds, median": float(np.median(saved))}
     experiment.write(options.out / "planner.json", report, options.quick)
     draw(rows, options.out / "planner.png")

@@ -26,7 +26,8 @@ RUNS = "runs.json"
 REPORT = "report.html"
 LIMIT = 980_000
 """Bytes."""
-QUALITIES = ((1000, 60), (1000, 45), (900, 38), (800, 32), (720, 26), (660, 22), (600, 18), (520, 14), (440, 10))
+QUALITIES = ((1000, 60), (1000, 45), (900, 40), (840, 36), (800, 32), (760, 29), (720, 26), (690, 24), (660, 22), (600, 18), (520, 14),
+             (440, 10))
 """(largest width in pixels, quality of WebP), best first."""
 ROWS, COLUMNS = 12, 12
 """Of a table; the rest is in the JSON."""
@@ -241,7 +242,7 @@ def link(name: str, text: str | None = None) -> str:
 
 def prose(text: str) -> str:
     """A sentence of a docstring."""
-    return re.sub("``(.+?)``", r"<code>\1</code>", escape(text[:1].upper() + text[1:]))
+    return re.sub("(`+)(.+?)\\1", r"<code>\2</code>", escape(text[:1].upper() + text[1:]))
 
 
 def duration(seconds: float) -> str:

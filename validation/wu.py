@@ -17,8 +17,8 @@ of 0.4, from the exact picture, of the pixels that see a surface and no light. *
 **gloss** (Fig. 11): a star and a fractal triangle of 210 lights over a glossy column, as they are and turned about their middles.
 **path** (Fig. 13): plants with two lights, by ``path``, by the grid and by all lights.
 
-Gloss: half diffuse, half Phong of exponent 20, BSDF to order 8 and visibility to order 4, as in the paper. *change* is the mean difference
-between the two states of the lights by ``path``, over its mean: what the lights do to the picture.
+Gloss: Mitsuba's principled BSDF, half diffuse, half rough metal (Phong in the paper), to order 8, and visibility to order 4, as there.
+*change* is the mean difference between the two states of the lights by ``path``, over its mean: what the lights do to the picture.
 """
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from validation.grid_cost import moved
 from validation.grid_scenes import W20, Lights
 from validation.soft_shadows import from_file, grey, render
 
-FACTOR = 10
+FACTOR, INTERPOLATION_FACTOR = 10, 50
 """Of the differences that are shown."""
 GRID = {"grid_resolution": 8, "grid_error": 0.0}
 VARIANTS = {"exact": {}, "grid": GRID, "near lights exact": {"grid_resolution": 8}}
@@ -95,16 +95,16 @@ class Pictures:
         """File with the direct transfer, one for all grids."""
         file = pathlib.Path(self._folder.name) / f"{settings.get('localised', True)}.npz"
         if not file.exists():
-            plain = {key: value for key, value in settings.items() if not key.startswith("grid") and key != "transfer"}
+            plain = {key: value for key, value in settings.items() if not key.startswith("grid")}
             mi.load_dict(plain).prepare_scene(self.scene, progress=False).save(file)
         return str(file)
 
     def shown(self, name: str, title: str) -> tuple:
         return title, self.display(self.truth if name == "path" else self.images[name])
 
-    def difference(self, name: str, other: str, title: str) -> tuple:
+    def difference(self, name: str, other: str, title: str, factor: float = FACTOR) -> tuple:
         image, base = (self.display(self.truth if key == "path" else self.images[key]) for key in (name, other))
-        return title, np.clip(FACTOR * abs(image - base) * self.seen[..., None], 0, 1)
+        return title, np.clip(factor * abs(image - base) * self.seen[..., None], 0, 1)
 
 
 def table_scene(name: str, plan: Plan, bsdf: dict | None = None) -> tuple:
@@ -145,7 +145,8 @@ def draw_interpolation(path, pictures: Pictures, rows: list, line: dict) -> None
     for found in rows:
         name = found["picture"]
         panels[0].append(pictures.shown(name, INTERPOLATIONS[name]))
-        panels[1].append(pictures.difference(name, "exact", f"difference x {FACTOR}, mean {1e3 * found['mae']:.2g}e-3"))
+        title = f"difference x {INTERPOLATION_FACTOR}, mean {1e3 * found['mae']:.2g}e-3"
+        panels[1].append(pictures.difference(name, "exact", title, INTERPOLATION_FACTOR))
     for i, panel in enumerate(panels):
         for j, cell in enumerate(panel):
             if cell:
@@ -158,7 +159,7 @@ def draw_interpolation(path, pictures: Pictures, rows: list, line: dict) -> None
     values, differences = figure.add_subplot(spec[2, :2]), figure.add_subplot(spec[2, 2:])
     for k, (name, curve) in enumerate(line.items()):
         style = {"color": "C0", "linewidth": 3} if name == "exact" else {"color": ("k", "C1", "C3", "c")[k - 1], "linestyle": "--"}
-        values.plot(curve, label=name, **style)
+        values.plot(curve, label=INTERPOLATIONS.get(name, name), **style)
         if name != "exact":
             differences.semilogy(np.maximum(abs(curve - line["exact"]), 1e-7), color=style["color"], label=INTERPOLATIONS[name])
     values.set(title="scan line", xlabel="pixel", ylabel="display value")

@@ -39,6 +39,9 @@ BSDF_ORDERS = (4, 8, 14)
 BOUNCE_ERROR = 0.012
 """Error of light between surfaces, as a part of it, with 256 rays per point; falls with their square root (validation/interreflection)."""
 
+MARGIN = 1.3
+"""Safety factor on predicted errors: of many candidates those look cheapest whose error is underestimated."""
+
 GRID_ERROR = 0.35
 """Mean error that the light grid causes, as a part of `grid_error` (validation/grid)."""
 
@@ -71,7 +74,7 @@ class Candidate(NamedTuple):
     @property
     def safe(self) -> float:
         """An error that is not likely to be exceeded."""
-        return self.error + self.spread
+        return MARGIN * self.error + self.spread
 
 
 class Findings:
@@ -86,23 +89,25 @@ class Findings:
     bounces : int or None
         Reflections that the scene asks for before the one that is seen: 0 none, None without a limit.
     max_error : float
+    gloss : bool
+        Whether gloss may be rendered.
     """
 
-    def __init__(self, probe: Probe, hits: int, spp: int, bounces, max_error: float):
+    def __init__(self, probe: Probe, hits: int, spp: int, bounces, max_error: float, gloss: bool = True):
         state, self.probe, self.spp, self.max_error = probe.state, probe, spp, max_error
         self.glossy = state.glossy
         self.truth = truth = probe.truth(self.glossy)
         albedo, self.lights = probe.hits.albedo, (truth.open * truth.seen).sum(axis=0)
         direct = albedo * (self.lights + truth.other + truth.missing) + truth.gloss
-        if not direct.sum() > 0 and not bounces != 0:
-            raise ValueError("plan(): 'scene' must light something that the camera sees, got a dark view. Check its camera and lights.")
-        between = self._between(bounces)
-        black = self._black(direct)
+        between, black = self._between(bounces), self._black()
         self.total = (direct + between + black).sum()
+        if not self.total > 0:
+            raise ValueError("plan(): 'scene' must light something that the camera sees, got a dark view. Check its camera and lights.")
         share = lambda part: float(np.sum(part) / self.total)
         self.between, self.gloss = share(between), share(abs(truth.gloss))
         self.missing, self.black = share(albedo * truth.missing), share(black)
-        self.blocked = 1 - float((albedo * self.lights).sum() / max((albedo * truth.open).sum(), 1e-30))
+        unblocked = (albedo * (truth.open.sum(axis=0) + truth.other_open)).sum()
+        self.blocked = 1 - float((albedo * (self.lights + truth.other)).sum() / unblocked) if unblocked > 0 else 0.0
         self.partly = float(((truth.seen > 0.002) & (truth.seen < 0.998) & (truth.open > 0)).any(axis=0).mean())
         boxes = np.array([[np.ravel(r.shape.bbox().min), np.ravel(r.shape.bbox().max)] for r in state.receivers if r.light < 0], float)
         corners = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)]) if len(boxes) else np.array([[0.0] * 3, [1.0] * 3])
@@ -117,7 +122,7 @@ class Findings:
         self.sizes = Sizes(hits, edges, max(probe.group_count, 1), meshed, [s.seconds for s in self.sights] or [1e-7], self.glossy)
         self.grid_error = min(max(max_error / 2, 1e-5), 0.05)
         self._grids = self._grid_sizes()
-        self.gloss_errors = self._gloss_errors() if self.gloss > max_error / 20 else {}
+        self.gloss_errors = self._gloss_errors() if gloss and self.gloss > max_error / 20 else {}
 
     def _between(self, bounces):
         """(P,) radiance by way of other surfaces, as far as it is asked for; paths of equal random numbers leave no noise where there is
@@ -127,7 +132,7 @@ class Findings:
             return np.zeros(len(self.probe.hits.p))
         return self.probe.radiance(-1 if bounces is None else bounces + 2) - self.probe.radiance(2)
 
-    def _black(self, direct):
+    def _black(self):
         """(P,) radiance of surfaces that `shprt` shows black."""
         lit = self.probe.hits.lit
         return np.zeros(len(lit)) if lit.all() else np.where(lit, 0, self.probe.radiance(2))

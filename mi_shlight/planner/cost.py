@@ -40,8 +40,8 @@ PICTURE, PICTURE_COEFFICIENT, GRID = 25e6, 0.2e6, 40e6
 BOUNCE_RAY, BOUNCE_STEP, BOUNCES = 1.4, 1.5, 8
 """A ray between surfaces, in those to lights; to pass on a channel along it, in one bounce; and the usual number of bounces."""
 
-GLOSS_HIT = 900.0
-"""To reflect gloss at a hit, for `bsdf_order` 8, with what is blocked; grows as the square of the coefficients."""
+GLOSS_HIT, GLOSS_TABLES = 1300.0, 40e6
+"""To reflect gloss at a hit, for `bsdf_order` 8, with what is blocked; grows as the cube of the order. To tabulate it, by one thread."""
 
 COMPILE_BAKE, COMPILE_PICTURE = (0.2, 0.0065), (0.35, 0.0045)
 """Seconds to compile, and for each coefficient, where kernels are not in the cache."""
@@ -129,7 +129,7 @@ def bounce_seconds(machine: Machine, sizes: Sizes, points: float, rays: int) -> 
 def gloss_seconds(machine: Machine, sizes: Sizes, bsdf_order: int, visibility_order: int, lights: float) -> float:
     """Time that gloss adds to a picture; `lights` as for :py:func:`picture_seconds`, at the order that gloss needs."""
     each = GLOSS_HIT * ((bsdf_order + 1) / 9) ** 3 + sizes.groups * HIT_ROW * (visibility_order + 1) ** 2
-    return machine.seconds(sizes.hits * each + 3 * lights)
+    return machine.seconds(sizes.hits * each + 3 * lights) + GLOSS_TABLES * 1e-9 * machine.scale
 
 
 def compile_seconds(order: int, bakes: bool) -> float:

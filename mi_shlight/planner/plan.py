@@ -117,8 +117,8 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
 
     Notes
     -----
-    Predictions are meant to be within a factor of 2 (validation/planner.py measures how far they are). The standard error of the error,
-    `spread`, is added before it is compared with `max_error`.
+    Predictions are meant to be within a factor of 2 (validation/planner.py measures how far they are). Before it is compared with
+    `max_error`, the error is taken 1.3 times and its standard error, `spread`, is added.
     """
     name = "plan"
     if not isinstance(scene, mi.Scene):
@@ -139,7 +139,7 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
         warnings.simplefilter("always", SHLightWarning)
         probe = Probe(scene, view, margin, seed)
         hits = int(np.prod(view.film().crop_size()) * spp * probe.hits.seen)
-        findings = Findings(probe, hits, spp, bounces_of(own), max_error)
+        findings = Findings(probe, hits, spp, bounces_of(own), max_error, gloss=not parameters["errors"])
     found = findings.candidates()
     chosen = choose(found, max_error, time_limit)
     met = chosen.safe <= max_error and (time_limit is None or chosen.seconds <= time_limit)

@@ -59,6 +59,8 @@ class Hits(NamedTuple):
     """False where `shprt` shows the surface black."""
     albedo: np.ndarray
     """Luminance of the diffuse reflectance."""
+    wavelengths: np.ndarray
+    """In nm, (P, K); none in variants without."""
     seen: float
     """Share of the camera's rays that meet a surface."""
 
@@ -131,8 +133,8 @@ class Probe:
     def __init__(self, scene, sensor, margin: float, seed: int):
         self.scene, self.margin, self._seed, self._points = scene, margin, seed, POINTS
         with dr.suspend_grad():
-            self.state = SceneState(scene, Settings(order=ORDER, transfer="shadowed+glossy" * (not mi.is_spectral) or "shadowed"),
-                                    Fingerprint(scene))
+            transfer = "shadowed" if mi.is_spectral else "shadowed+glossy"
+            self.state = SceneState(scene, Settings(order=ORDER, transfer=transfer), Fingerprint(scene))
             self.hits = self._camera_hits(sensor)
         state = self.state
         self.near_count = state.group_count if state.lights else 0
@@ -147,27 +149,32 @@ class Probe:
         count = CANDIDATES * self._points
         place = (np.arange(count)[:, None] * R2 + np.random.default_rng(self._seed).random(2)) % 1
         where = mi.Point2f(aligned(mi.Float, place[:, 0]), aligned(mi.Float, place[:, 1]))
-        ray, _ = sensor.sample_ray(0.0, 0.5, where, mi.Point2f(0.5))
+        colour = aligned(mi.Float, np.arange(count) * R2[1] % 1)
+        ray, _ = sensor.sample_ray(0.0, colour, where, mi.Point2f(0.5))
         pi = self.scene.ray_intersect_preliminary(ray)
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All)
         state, valid = self.state, si.is_valid() & (dr.reinterpret_array(mi.UInt32, si.emitter(self.scene)) == 0)
         front = mi.Frame3f.cos_theta(si.wi) > 0
         lit = valid & (front | state.flag(state.two_sided, si.shape, valid)) & ~state.flag(state.black, si.shape, valid)
         n = dr.select(front, si.sh_frame.n, -si.sh_frame.n)
-        albedo = luminance(mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)), si.wavelengths)
+        albedo = brightness(si.bsdf().eval_diffuse_reflectance(si, lit), si.wavelengths)
+        if state.gloss:
+            albedo *= state.gloss.share(si.shape, ~front, lit)
         albedo = dr.select(lit, albedo, 0)
-        values = [*ray.o, *ray.d, *si.p, *n, dr.reinterpret_array(mi.UInt32, pi.shape), pi.prim_index, *pi.prim_uv, ~front, lit, albedo,
-                  si.is_valid(), valid]
+        values = [*ray.wavelengths, *ray.o, *ray.d, *si.p, *n, dr.reinterpret_array(mi.UInt32, pi.shape), pi.prim_index, *pi.prim_uv,
+                  ~front, lit, albedo, si.is_valid(), valid]
         values = [v + dr.zeros(mi.Float, count) if dr.is_float_v(v) else v for v in values]
         dr.eval(values)
         *columns, surface, usable = (np.array(v) for v in values)
+        wavelengths, columns = columns[:len(ray.wavelengths)], columns[len(ray.wavelengths):]
         chosen = np.flatnonzero(usable)
         if not len(chosen):
             raise ValueError("plan(): 'scene' must show a surface that is no light, got a view without one. Check the scene's camera.")
         chosen = chosen[:self._points]
         o, d, p, n = (np.stack(columns[3 * k:3 * k + 3], axis=1)[chosen] for k in range(4))
         shape, face, u, v, back, lit, albedo = (column[chosen] for column in columns[12:])
-        return Hits(o, d, p, n, shape, face, np.stack([u, v], axis=1), back, lit, albedo, float(surface.mean()))
+        wavelengths = np.stack([w[chosen] for w in wavelengths], axis=1) if wavelengths else np.zeros((len(chosen), 0))
+        return Hits(o, d, p, n, shape, face, np.stack([u, v], axis=1), back, lit, albedo, wavelengths, float(surface.mean()))
 
     # Truth
 
@@ -182,13 +189,12 @@ class Probe:
         random = mi.PCG32(size=lanes, initstate=mi.UInt64(self._seed))
         place = mi.Point2f((mi.Float(sample % side) + random.next_float32()) / side,
                            (mi.Float(sample // side) + random.next_float32()) / side)
-        ray = mi.Ray3f(dr.gather(mi.Point3f, self._flat(self.hits.o), point), dr.gather(mi.Vector3f, self._flat(self.hits.d), point))
-        si = scene.ray_intersect(ray)
+        si = scene.ray_intersect(self._rays(point))
         lit = si.is_valid() & (dr.gather(mi.UInt32, aligned(mi.UInt32, self.hits.lit.astype(np.uint32)), point) > 0)
         n = dr.gather(mi.Normal3f, self._flat(self.hits.n), point)
         ds, weight = scene.sample_emitter_direction(si, place, False, lit)
         weight = mi.unpolarized_spectrum(weight)
-        white = luminance(weight, si.wavelengths) * dr.maximum(dr.dot(n, ds.d), 0) * dr.inv_pi
+        white = brightness(weight, si.wavelengths) * dr.maximum(dr.dot(n, ds.d), 0) * dr.inv_pi
         visible = lit & (white > 0) & ~scene.ray_test(si.spawn_ray_to(ds.p), coherent=False, active=lit & (white > 0))
         number = dr.reinterpret_array(mi.UInt32, ds.emitter)
         group = dr.gather(mi.UInt32, self._emitter_groups(table, bounds), number, lit)
@@ -202,9 +208,10 @@ class Probe:
         sums += [total(dr.select((group == groups + k) & seen, white, 0)) for k, seen in ((0, visible), (0, True), (1, visible))]
         if glossy:
             whole = mi.unpolarized_spectrum(si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), lit))
-            whole = luminance(whole * weight, si.wavelengths)
-            albedo = luminance(mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * weight, si.wavelengths)
-            diffuse = albedo * dr.maximum(dr.dot(n, ds.d), 0) * dr.inv_pi
+            whole = brightness(whole * weight, si.wavelengths)
+            albedo = brightness(mi.unpolarized_spectrum(si.bsdf().eval_diffuse_reflectance(si, lit)) * weight, si.wavelengths)
+            back = dr.gather(mi.UInt32, aligned(mi.UInt32, self.hits.back.astype(np.uint32)), point) > 0
+            diffuse = albedo * dr.maximum(dr.dot(n, ds.d), 0) * dr.inv_pi * state.gloss.share(si.shape, back, lit)
             sums.append(total(dr.select(visible & (group < groups + 1), whole - diffuse, 0)))
         dr.eval(sums)
         sums = [np.array(v, np.float64) / TRUTH_SAMPLES for v in sums]
@@ -239,17 +246,20 @@ class Probe:
         out, points = estimated.copy(), self._shaded_points()
         for g in range(self.near_count):
             near = NearLights(self._only(g), self.table, None, ORDER, "auto")
-            value = luminance(near._exact(points, [mi.Float(1)]), points.wavelengths)
+            value = brightness(near._exact(points, [mi.Float(1)]), points.wavelengths)
             dr.eval(value)
             out[g] = np.array(value)
         return out
 
     def _shaded_points(self) -> Points:
-        wavelengths = dr.zeros(mi.SurfaceInteraction3f, self._count).wavelengths
+        return Points(self._p, self._n, self._rays(dr.arange(mi.UInt32, self._count)).wavelengths, mi.Bool(True))
+
+    def _rays(self, point):
+        """The camera's rays to some of the points."""
+        ray = mi.Ray3f(dr.gather(mi.Point3f, self._flat(self.hits.o), point), dr.gather(mi.Vector3f, self._flat(self.hits.d), point))
         if mi.is_spectral:
-            sample = mi.Float((np.arange(self._count) * R2[0]) % 1)
-            wavelengths = mi.sample_shifted(sample) * (mi.MI_CIE_MAX - mi.MI_CIE_MIN) + mi.MI_CIE_MIN
-        return Points(self._p, self._n, wavelengths, mi.Bool(True))
+            ray.wavelengths = dr.gather(type(ray.wavelengths), self._flat(self.hits.wavelengths), point)
+        return ray
 
     def _only(self, g: int):
         """What `NearLights` reads of the scene's state, for one light group alone."""
@@ -346,10 +356,10 @@ class Probe:
         points = self._shaded_points()
         if g < self.near_count:
             near = NearLights(self._only(g), self.table, None, ORDER, "auto")
-            coeffs = near.coefficients(points, lambda radiance: [luminance(radiance, points.wavelengths)])[0]
+            coeffs = near.coefficients(points, lambda radiance: [brightness(radiance, points.wavelengths)])[0]
         else:
             distant = self.state.distant.attached().coefficients(points.wavelengths, points.p)
-            coeffs = [luminance(c, points.wavelengths) + dr.zeros(mi.Float, self._count) for c in distant[:(ORDER + 1) ** 2]]
+            coeffs = [brightness(c, points.wavelengths) + dr.zeros(mi.Float, self._count) for c in distant[:(ORDER + 1) ** 2]]
         flat = dr.concat(coeffs)
         dr.eval(flat)
         owner, n = aligned(mi.UInt32, rows.owner), _vectors(mi.Normal3f, rows.normal)
@@ -372,15 +382,11 @@ class Probe:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(self._seed, lanes)
         point = dr.arange(mi.UInt32, lanes) // samples
-        ray = mi.RayDifferential3f(mi.Ray3f(dr.gather(mi.Point3f, self._flat(self.hits.o), point),
-                                            dr.gather(mi.Vector3f, self._flat(self.hits.d), point)))
-        weight = 1.0
-        if mi.is_spectral:
-            ray.wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(sampler.next_1d()))
+        ray = mi.RayDifferential3f(self._rays(point))
         with dr.suspend_grad():
             mode = (dr.ADMode.Primal,) if integrator["type"] == "shprt" else ()
             value = mi.load_dict(integrator).sample(*mode, self.scene, sampler, ray)[0]
-        value = dr.block_sum(luminance(mi.unpolarized_spectrum(value) * weight, ray.wavelengths), samples)
+        value = dr.block_sum(brightness(value, ray.wavelengths), samples)
         dr.eval(value)
         return np.array(value, np.float64) / samples
 
@@ -444,6 +450,14 @@ def _cells(corners, normals, hits: Hits, k, point) -> tuple:
     pull = _unit(corners.mean(axis=1)[:, None] - position) * (rim * cell[:, None])[..., None]
     pull -= normal * (pull * normal).sum(axis=2, keepdims=True)
     return position + RIM * pull, normal, cell, np.stack([1 - w1 - w2, w1, w2], axis=1)
+
+
+def brightness(value, wavelengths):
+    """Luminance of a spectrum; where it is known at some wavelengths only, its mean over these, weighted as the eye does."""
+    value = mi.unpolarized_spectrum(value)
+    if not mi.is_spectral:
+        return luminance(value, wavelengths)
+    return luminance(value, wavelengths) / dr.maximum(luminance(type(value)(1), wavelengths), 1e-9)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

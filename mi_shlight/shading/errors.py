@@ -15,6 +15,7 @@ bound, and what the harmonics leave of it is that of the whole map.
 **Transfer.** Three deviations, taken as independent: that of the visibility by the choice of rays, as the bake estimates it, of which the
 light takes its share (noise of density s over the cone makes ``s |F L|`` of the value); that between the three baked points around,
 weighted as in the interpolation, for what lies between them; and for what no ray has met, a part of the light that one of them stands for.
+Those by rays are independent for the lights of a group, too.
 
 Derived for this package; not in the papers. Nothing here carries derivatives.
 """
@@ -121,12 +122,12 @@ class PointErrors:
             lights = tuple(dr.gather(mi.UInt32, groups, g + k) for k in (0, 1))
             coeffs, exact, quality = cosine, None, unshadowed(points)
             if transfer:
-                (coeffs, exact), quality = transfer(g, lights), transfer.quality(g, lights)
+                (coeffs, exact), quality = transfer.with_quality(g, lights)
             shown = self._windowed(coeffs, fitted)
             frame, level = mi.Frame3f(quality.axis), fit and fit.level(quality.angle)
             solid_angle = dr.select(quality.angle < math.pi / 2, 2 * math.pi * (1 - dr.cos(quality.angle)), 2 * math.pi)
 
-            def light_body(k, known, rest, deviation, value, lambert):
+            def light_body(k, known, rest, rays, value, lambert):
                 own = self._light(k, points)
                 for c, (coeffs_, energy, lambert_) in enumerate(own):
                     held = coeffs_
@@ -139,18 +140,18 @@ class PointErrors:
                     flux = dr.select(flux > 0, flux, dr.inf)
                     noise = NOISE * quality.deviation * dr.sqrt(solid_angle * held) / flux
                     unseen = dr.minimum(UNSEEN * solid_angle * energy / (quality.samples * flux * flux), 1)
-                    deviation[c] = deviation[c] + lambert_ * _norm(noise, unseen, BETWEEN * quality.spread)
+                    rays[c] = dr.fma(dr.square(lambert_), dr.square(noise) + dr.square(unseen), rays[c])
                     value[c], lambert[c] = value[c] + sent, lambert[c] + lambert_
-                return k + 1, known, rest, deviation, value, lambert
+                return k + 1, known, rest, rays, value, lambert
 
             start = (lights[0], zeros(), zeros(), zeros(), zeros(), zeros())
-            _, known, rest, deviation, value, lambert = dr.while_loop(start, lambda k, *_: k < lights[1], light_body, mode="symbolic")
+            _, known, rest, rays, value, lambert = dr.while_loop(start, lambda k, *_: k < lights[1], light_body, mode="symbolic")
             for c in self._channels:
                 limit = abs(known[c]) + rest[c]
                 if transfer:
                     whole = value[c] if exact is None else dr.fma(exact, lambert[c], value[c])
                     limit = dr.minimum(limit, dr.maximum(abs(whole), abs(lambert[c] - whole)))
-                bound[c], variance[c] = bound[c] + limit, dr.fma(deviation[c], deviation[c], variance[c])
+                bound[c], variance[c] = bound[c] + limit, variance[c] + rays[c] + dr.square(BETWEEN * quality.spread * lambert[c])
             return g + 1, bound, variance
 
         start = mi.UInt32(0), zeros(), zeros()
@@ -184,13 +185,13 @@ class PointErrors:
         left, cosine = self._weigh(distant.remainder()), cosine_transfer(points.n, order)
         coeffs, quality = cosine, unshadowed(points)
         if transfer:
-            group = mi.UInt32(self._state.group_count)
-            coeffs, quality = transfer(group, None)[0], transfer.quality(group, None)
+            group = mi.UInt32(self._state.group_count)        # after those of polygonal lights
+            (coeffs, _), quality = transfer.with_quality(group, None)
         change = [s - c for s, c in zip(self._windowed(coeffs, False), coeffs)]
         norm = quality.residual + quality.cut * cosine_remainder(order)
         bound = [abs(_dot(change, channel)) + norm * rest for channel, rest in zip(light, left)]
-        deviation = _norm(NOISE * quality.deviation, UNSEEN / quality.samples, BETWEEN * quality.spread)
-        return bound, [dr.square(deviation * _dot(cosine, channel)) for channel in light]
+        variance = sum(map(dr.square, (NOISE * quality.deviation, UNSEEN / quality.samples, BETWEEN * quality.spread)), mi.Float(0))
+        return bound, [variance * dr.square(_dot(cosine, channel)) for channel in light]
 
     def _windowed(self, coeffs: list, fitted: bool) -> list:
         if self._factors is None or fitted:
@@ -208,10 +209,6 @@ def cosine_remainder(order: int) -> float:
     """L2 norm, 1/sqrt(sr), of what the bands to `order` leave of the clamped cosine over pi."""
     held = sum(band * band * (2 * l + 1) / (4 * math.pi) for l, band in enumerate(cosine_bands(order)))
     return math.sqrt(max(2 / (3 * math.pi) - held, 0))
-
-
-def _norm(*values):
-    return dr.sqrt(sum(map(dr.square, values), mi.Float(0)))
 
 
 def _dot(a: list, b: list):

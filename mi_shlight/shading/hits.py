@@ -32,9 +32,9 @@ class BakedTransfer:
         visible = self._lookup.visibility(*self._at, g) if self._lookup.kind == "exact" and lights else None
         return self._lookup.coefficients(*self._at, g, self._order), visible
 
-    def quality(self, g, lights) -> Quality:
-        """What is known about the errors of the transfer from a light group."""
-        return self._lookup.quality(*self._at, g)
+    def with_quality(self, g, lights) -> tuple:
+        """(the same, :py:class:`~mi_shlight.transfer.localised.Quality`)."""
+        return self(g, lights), self._lookup.quality(*self._at, g)
 
 
 class HitTransfer:
@@ -69,26 +69,30 @@ class HitTransfer:
         self._lights = state.bake_lights.at(*table.outlines()) if table else None
 
     def __call__(self, g, lights) -> tuple:
-        coeffs, visible = self._baked(g, lights) if self._baked else (None, None)
+        baked = self._baked(g, lights) if self._baked else (None, None)
+        return self._joined(baked, self._trace(lights), lights) if self._rays else baked
+
+    def with_quality(self, g, lights) -> tuple:
+        """As :py:meth:`BakedTransfer.with_quality`."""
+        baked, known = self._baked.with_quality(g, lights) if self._baked else ((None, None), None)
         if not self._rays:
-            return coeffs, visible
+            return baked, known
         found = self._trace(lights)
+        cut = dr.select(found.angle < math.pi - 1e-3, 0, found.visibility)
+        quality = Quality(found.visibility, dr.sqrt(found.residual), cut, found.axis, found.angle, dr.sqrt(found.variance), mi.Float(0),
+                          mi.Float(self._samples))
+        if known:
+            quality = Quality(*(dr.select(self._traced, t, b) for t, b in zip(quality, known)))
+        return self._joined(baked, found, lights), quality
+
+    def _joined(self, baked: tuple, found, lights) -> tuple:
+        """What was `found` where rays were traced, and what is `baked` elsewhere."""
+        coeffs, visible = baked
         traced_visible = found.visibility if self._kind == "exact" and lights else None
         if not self._baked:
             return found.coeffs, traced_visible
         coeffs = [dr.select(self._traced, t, c) for t, c in zip(found.coeffs, coeffs)]
         return coeffs, None if visible is None else dr.select(self._traced, traced_visible, visible)
-
-    def quality(self, g, lights) -> Quality:
-        """As :py:meth:`BakedTransfer.quality`. Traces the rays once more."""
-        baked = self._baked.quality(g, lights) if self._baked else None
-        if not self._rays:
-            return baked
-        found = self._trace(lights)
-        cut = dr.select(found.angle < math.pi - 1e-3, 0, found.visibility)
-        traced = Quality(found.visibility, dr.sqrt(found.residual), cut, found.axis, found.angle, dr.sqrt(found.variance), mi.Float(0),
-                         mi.Float(self._samples))
-        return traced if baked is None else Quality(*(dr.select(self._traced, t, b) for t, b in zip(traced, baked)))
 
     def _trace(self, lights):
         sight = LightSight(self._state.occluders, self._lights, lights) if lights else SkySight(self._state.occluders.scene)

@@ -16,8 +16,8 @@ from validation.grid_cost import Plan
 from validation.grid_report import GridRecord
 
 ORDER = 2
-TINY = Plan(scale=0.005, scenes=("Monkey",), subset=64, w18_subset=8, rounds=1, samples=(10,), light_counts=(1, 8), resolutions=(4,),
-            sweep_points=64, shared_side=2, shared_points=32, moving_points=64, frames=1, picture=12, pictured=(3,))
+TINY = Plan(order=ORDER, scale=0.005, scenes=("Monkey",), subset=64, w18_subset=8, rounds=1, samples=(10,), light_counts=(1, 8),
+            resolutions=(4,), sweep_points=64, shared_side=2, shared_points=32, moving_points=64, frames=1, picture=12, pictured=(3,))
 
 
 @pytest.fixture(autouse=True)
