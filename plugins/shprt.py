@@ -158,7 +158,8 @@ interpolates their pixels; their transfer, of rays that leave the scene, is proj
 error where nothing is hidden, zero where localised transfer sees all of a light or nothing of it, in shadows the residual of the fit, or
 of the projection, times what the harmonics leave of the light. In localised shadows the band limit costs less, an eighth of the bound in
 the median; of hundreds of lights, each of which may err by all of it, the bound says little (validation/bounds.py). It knows of an
-occluder what the rays of a transfer vector have met. ``transfer_error`` is an estimate, one standard deviation: of the choice of rays,
+occluder what the rays of a transfer vector have met, and holds from some 256 rays on; in projected transfer, of which a small light or one
+at the horizon meets few rays, that can take more. ``transfer_error`` is an estimate, one standard deviation: of the choice of rays,
 of what they may have missed (in projected transfer few of them meet a small light), and of the interpolation between baked points. A
 shadow that falls between the points is unknown to it. ``grid_error`` is the estimate by which near and far lights are told apart, root
 mean square over a cell, measured for ``hermite``; 0 without a grid. With ``interreflected`` the bound of what each surface gets is sent on

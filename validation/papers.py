@@ -14,7 +14,7 @@ from typing import Callable, NamedTuple
 from validation.experiment import RESULTS
 
 W18, W20, G03 = "Wang and Ramamoorthi 2018", "Wu et al. 2020", "Green 2003"
-NOTHING_MEASURED = "not measured yet"
+NOTHING_MEASURED, MISSED = "not measured yet", " (missed)"
 
 
 class Results(dict):
@@ -31,7 +31,7 @@ class Results(dict):
     def measured(self, name: str, start: str) -> str:
         """Value of the target that begins with `start`, and whether it was met."""
         line = next(line for line in self[name]["targets"] if line["target"].startswith(start))
-        return line["measured"] + ("" if line["met"] else " (missed)")
+        return line["measured"] + ("" if line["met"] else MISSED)
 
     def find(self, name: str, *path: str, **keys) -> dict:
         """The first row with `keys` of the table at `path`."""
@@ -280,15 +280,21 @@ def rows(folder=RESULTS) -> list:
     -------
     list of dict
         ``paper``, ``item``, ``shows``, ``command`` and ``pictures`` (files in the folder; empty where there is nothing to reproduce),
-        ``verdict``, and ``reproduced``: yes, in part, no. Where an experiment has not run the verdict says so.
+        ``verdict``, and ``reproduced``: yes, in part (also where a target was missed), no. Where an experiment has not run the verdict
+        says so.
     """
     results, found = Results(pathlib.Path(folder)), []
     for row in ROWS:
         try:
             text = row.verdict if isinstance(row.verdict, str) else row.verdict(results)
-        except (FileNotFoundError, KeyError, StopIteration):
+        except (LookupError, StopIteration, TypeError, ValueError, FileNotFoundError):      # results that are missing or of a part only
             text = NOTHING_MEASURED
-        found.append({**row._asdict(), "pictures": list(row.pictures), "verdict": text})
+        reproduced = row.reproduced
+        if text == NOTHING_MEASURED:
+            reproduced = "no"
+        elif MISSED in text and reproduced == "yes":
+            reproduced = "in part"
+        found.append({**row._asdict(), "pictures": list(row.pictures), "verdict": text, "reproduced": reproduced})
     return found
 
 

@@ -258,7 +258,7 @@ def chips(lines: list) -> str:
 
 def verdicts(lines: list) -> str:
     rows = "".join(f"<tr><td class='{'met' if line['met'] else 'missed' if line['met'] is False else ''}'>{VERDICT[line['met']]}</td>"
-                   f"<td>{escape(line['target'])}</td><td>{escape(str(line['measured']))}</td></tr>" for line in lines)
+                   f"<td>{escape(str(line['target']))}</td><td>{escape(str(line['measured']))}</td></tr>" for line in lines)
     whole = f"<table><tr><th></th><th>target</th><th>measured</th></tr>{rows}</table>"
     return whole if len(lines) <= ROWS else f"<details><summary>{len(lines)} targets: {chips(lines)}</summary>{whole}</details>"
 
