@@ -196,21 +196,37 @@ def _plan_text(found) -> str:
     default = asdict(Settings())
     chosen = {name: value for name, value in found.settings.items() if name in ("order", "transfer") or value != default.get(name)}
     asked = f"error of at most {found.max_error:.2g}" + ("" if found.time_limit is None else f" within {found.time_limit:g} s")
+    parts = ", ".join(f"{name} {part:.2%}" for name, part in found.parts.items() if part >= 5e-5)
     lines = [f"shprt with {', '.join(f'{name} {value}' for name, value in chosen.items())}",
-             f"  error   {found.error:.2%} (+- {found.spread:.2%})   of "
-             + ", ".join(f"{name} {part:.2%}" for name, part in found.parts.items() if part > 0),
+             f"  error   {found.error:.2%} (+- {found.spread:.2%})" + (f"   of {parts}" if parts else ""),
              f"  time    {found.bake:.2f} s to bake, {found.render:.2f} s to render; {found.compile:.1f} s more to compile, once",
              "why"]
     lines += [f"  {name:<17} {text}" for name, text in found.why]
     if found.choices:
         lines.append("what else there is")
-        lines += [f"  {choice['error']:8.2%} in {choice['seconds']:7.2f} s   {choice['settings']['transfer']}, order "
-                  f"{choice['settings']['order']}" for choice in _spaced(found.choices)]
+        lines += [f"  {choice['error']:8.2%} in {choice['seconds']:7.2f} s   {_choice_text(choice['settings'])}"
+                  for choice in _spaced(found.choices)]
     lines += [f"not rendered: {text}" for text in found.left_out]
     if not found.met:
         lines.append(f"An {asked} cannot be had: this is the most accurate there is"
                      + ("." if found.time_limit is None else " in that time, or the fastest if nothing is."))
     return "\n".join(lines)
+
+
+def _choice_text(settings: dict) -> str:
+    """What tells one choice of settings from another."""
+    transfer = settings["transfer"]
+    parts = [transfer, f"order {settings['order']}"]
+    if not transfer.startswith("unshadowed"):
+        parts.append(f"{settings['transfer_samples']} rays per " + ("hit" if settings["transfer_domain"] == "pixel" else
+                                                                     f"point, max_edge {settings['max_edge']:.3g}"))
+    if settings["grid_resolution"]:
+        parts.append(f"grid {settings['grid_resolution']}")
+    if "interreflected" in transfer:
+        parts.append(f"bounce_samples {settings['bounce_samples']}")
+    if "glossy" in transfer:
+        parts.append(f"bsdf_order {settings['bsdf_order']}")
+    return ", ".join(parts)
 
 
 def _spaced(choices, ratio: float = 2.0) -> list:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import pathlib
+import signal
 import resource
 import subprocess
 import sys
@@ -54,7 +55,8 @@ class Run:
         command = [sys.executable, "-m", f"validation.{name}", "--out", str(out.resolve()), *(["--quick"] if quick else [])]
         pinned = {} if core is None else {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, cwd=experiment.ROOT, env={**os.environ, "MPLBACKEND": "Agg", **pinned},
-                                        stdin=subprocess.DEVNULL, stdout=self.log, stderr=subprocess.STDOUT, preexec_fn=self._pin)
+                                        stdin=subprocess.DEVNULL, stdout=self.log, stderr=subprocess.STDOUT, preexec_fn=self._pin,
+                                        start_new_session=True)
 
     def _pin(self):
         if self.core is not None and hasattr(os, "sched_setaffinity"):
@@ -73,6 +75,8 @@ class Run:
         return self.process.returncode is not None
 
     def stop(self):
+        if hasattr(os, "killpg"):                         # with the processes that it has started
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.process.kill()
         self.process.wait()
 
@@ -149,7 +153,11 @@ def main(arguments=None) -> int:
         return 0
     runner = Runner(options.quick, options.out)
     if not options.report_only:
-        runner.run_all(list(dict.fromkeys(options.name)) or list(EXPERIMENTS))
+        try:
+            runner.run_all(list(dict.fromkeys(options.name)) or list(EXPERIMENTS))
+        except KeyboardInterrupt:
+            print(f"\ninterrupted; {runner.finished} of {runner.total} experiments are recorded, --report-only shows them", file=sys.stderr)
+            return 130
     path = report.write(options.out)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB" + "".join(f"\nFAILED {name}" for name in runner.failed))
     return int(bool(runner.failed))

@@ -260,15 +260,17 @@ def first_table(record: ParetoRecord) -> str:
 
 
 MARK = "<!-- pareto: {} -->"
-"""Before a table in the docs; the table ends at the next empty line."""
+"""Before a table in the docs."""
 
 
 def update_page(text: str, report: dict) -> str:
-    """`text` with all marked tables anew; ValueError for a mark that names no table."""
+    """`text` with the rows after each mark replaced; ValueError unless each table has one mark."""
     made = tables(ParetoRecord(report))
-    for name in re.findall(MARK.format("(.*?)"), text):
-        if name not in made:
-            raise ValueError(f"update_page(): 'text' must mark tables of pareto, got {name!r}. There are: {', '.join(made)}.")
+    marked = re.findall(MARK.format("(.*?)"), text)
+    if sorted(marked) != sorted(made):
+        raise ValueError(f"update_page(): 'text' must mark each table of pareto once, got {', '.join(marked)}. "
+                         f"There are: {', '.join(made)}.")
+    for name, table in made.items():
         place = re.escape(MARK.format(name))
-        text = re.sub(f"({place}\n).*?(\n\n|\n*\\Z)", lambda match, name=name: match[1] + made[name] + match[2], text, flags=re.S)
+        text = re.sub(f"({place}\n)(?:[|].*(?:\n|\\Z))*", lambda match, table=table: match[1] + table.rstrip("\n") + "\n", text)
     return text

@@ -37,7 +37,11 @@ BOUNCE_RAYS = (64, 256, 1024)
 BSDF_ORDERS = (4, 8, 14)
 
 BOUNCE_ERROR = 0.012
-"""Error of light between surfaces, as a part of it, with 256 rays per point; falls with their square root (validation/interreflection)."""
+"""Error that rays cause in light between surfaces, as a part of it, with 256 of them per point; falls with their square root
+(validation/interreflection)."""
+
+ROUNDING = 2e-6
+"""Error of single precision."""
 
 MARGIN = 1.3
 """Safety factor on predicted errors: of many candidates those look cheapest whose error is underestimated."""
@@ -70,6 +74,11 @@ class Candidate(NamedTuple):
     @property
     def seconds(self) -> float:
         return self.bake + self.picture
+
+    @property
+    def avoidable(self) -> float:
+        """Error without what no setting renders, or this one does not."""
+        return self.error - self.parts["left out"]
 
     @property
     def safe(self) -> float:
@@ -115,6 +124,7 @@ class Findings:
         self.points = baked_points(state.receivers, self.edges)
         self.machine = measure_machine()
         self._measure()
+        self.between_cells = self._between_cells(bounces)
         table, self._groups = probe.table, [int(b) for b in np.array(state.facets)] if probe.table else [0, 0]
         self._facets = table.facets if table else None
         edges = dr.width(self._facets.start) if table else 0
@@ -137,13 +147,25 @@ class Findings:
         lit = self.probe.hits.lit
         return np.zeros(len(lit)) if lit.all() else np.where(lit, 0, self.probe.radiance(2))
 
+    def _between_cells(self, bounces) -> list:
+        """Errors, by size of the cells, of interpolating light between surfaces in them."""
+        if self.between <= self.max_error / 20 or not self.sights:
+            return [0.0] * len(self.edges)
+        rows, albedo, errors = self.rows, self.probe.hits.albedo, []
+        twice = self.probe.arriving(rows, bounces).T
+        for cells in range(len(self.edges)):
+            off = interpolated(rows, cells, twice, self._dark) - twice[-len(albedo):]
+            error, noise = ((albedo * abs(value)).sum() / (2 * self.total) for value in (off[:, 0] + off[:, 1], off[:, 0] - off[:, 1]))
+            errors.append(math.sqrt(max(error ** 2 - noise ** 2, 0)))
+        return errors
+
     def _measure(self) -> None:
         """Errors at all points, by order."""
         probe, truth = self.probe, self.truth
         self.rows = rows = probe.rows(self.edges)
         self.sights = probe.sights(rows, BASE)
         shaded = [shade(sight) for sight in self.sights]
-        dark = np.all([s.mean == 0 for s in shaded], axis=0) if shaded else np.zeros(0, bool)
+        self._dark = dark = np.all([s.mean == 0 for s in shaded], axis=0) if shaded else np.zeros(0, bool)
         self._base = {(direct, cells): self._errors(direct, shaded, rows, cells, dark)
                       for direct in ("shadowed", "exact") for cells in range(len(self.edges) + 1)}
         last = len(self.edges)
@@ -234,13 +256,13 @@ class Findings:
         """All settings, with error and time."""
         return [self._candidate(order, direct, bouncing, glossing, self.lights_cost(order))
                 for order in ORDERS for direct in self._direct(order) if math.isfinite(self._baked(*direct))
-                for bouncing in self._bouncing(self._baked(*direct) > 0) for glossing in self._glossing()]
+                for bouncing in self._bouncing(*direct) for glossing in self._glossing()]
 
     def largest(self) -> Candidate:
         """What those take who do not ask: the highest order, many rays, small cells, everything that the scene has, and no grid."""
         lights = lights_nanoseconds(self._facets, self._groups, ORDER, self.sizes.hits), 0
         direct = [d for d in self._direct(ORDER) if d[0] != "unshadowed" and d[1:4] in LARGEST and math.isfinite(self._baked(*d))]
-        bouncing, glossing = (list(options)[-1] for options in (self._bouncing(True), self._glossing()))
+        bouncing, glossing = (list(options)[-1] for options in (self._bouncing(*direct[-1]), self._glossing()))
         return self._candidate(ORDER, direct[-1], bouncing, glossing, lights)
 
     def _baked(self, direct: str, domain: str, cells: int, *_) -> float:
@@ -256,7 +278,7 @@ class Findings:
         points, shadows = self._baked(direct, domain, cells), direct != "unshadowed"
         parts = {"direct light": error, "light grid": GRID_ERROR * self.grid_error if resolution else 0.0,
                  "light between surfaces": bounce_error, "gloss": gloss_error,
-                 "left out": kept_back + dull + self.missing + self.black}
+                 "left out": kept_back + dull + self.missing + self.black, "rounding": ROUNDING}
         total = math.sqrt(sum(value ** 2 for name, value in parts.items() if name != "left out")) + parts["left out"]
         traced = rays if domain == "pixel" else DEFAULT_SAMPLES["pixel"] * (1 - self.sizes.meshed) * shadows
         bake = bake_seconds(self.machine, self.sizes, points, order, rays)
@@ -296,12 +318,12 @@ class Findings:
         """Without what the truth itself is uncertain by; less than that cannot be told."""
         return max(math.sqrt(max(error ** 2 - self.noise ** 2, 0)), min(error, self.noise))
 
-    def _bouncing(self, baked: bool):
+    def _bouncing(self, direct: str, domain: str, cells: int, *_):
         """(rays between surfaces, error, light left out)."""
         yield 0, 0.0, self.between
-        if baked and self.between > 0:
+        if self._baked(direct, domain, cells) > 0 and self.between > 0:
             for rays in BOUNCE_RAYS:
-                yield rays, self.between * BOUNCE_ERROR * math.sqrt(256 / rays), 0.0
+                yield rays, math.hypot(self.between * BOUNCE_ERROR * math.sqrt(256 / rays), self.between_cells[cells]), 0.0
 
     def _glossing(self):
         """(bsdf_order, error, gloss left out)."""

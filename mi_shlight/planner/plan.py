@@ -22,6 +22,9 @@ PLANNED = ("order", "method", "transfer", "transfer_domain", "transfer_samples",
 """Parameters that a plan decides; all others stay as the scene has them."""
 
 
+LEAST_ERROR = 1e-6
+
+
 @dataclass(frozen=True)
 class Plan:
     """Settings for a scene, with what they are expected to cost and to miss.
@@ -95,7 +98,7 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
         Loaded in a JIT variant, with ``optimize=False``, and any integrator. What that one renders is what errors count against: light
         between surfaces counts if it is ``path`` (or another that has a ``max_depth``) of more than 2, or `shprt` with ``interreflected``.
     max_error : float
-        Largest mean relative error, above 0, such as 0.01.
+        Largest mean relative error, at least 1e-6, such as 0.01.
     time_limit : float, optional
         Seconds that a bake and a picture may take together, without compilation. If what keeps `max_error` takes longer, the plan is the
         most accurate of what does not.
@@ -124,10 +127,8 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
     if not isinstance(scene, mi.Scene):
         raise TypeError(message(name, "scene", f"be a mitsuba.Scene of the current variant ({mi.variant()})", scene,
                                 "Load it with mi.load_file(path, optimize=False)."))
-    hint = "It is a relative error, such as 0.01 for 1 %."
-    max_error = check_number(name, "max_error", max_error, 0, hint=hint)
-    if max_error == 0:
-        raise ValueError(message(name, "max_error", "be above 0", max_error, hint))
+    hint = "It is a relative error, such as 0.01 for 1 %; rounding alone is more than the least."
+    max_error = check_number(name, "max_error", max_error, LEAST_ERROR, hint=hint)
     if time_limit is not None:
         time_limit = check_number(name, "time_limit", time_limit, 0, hint="It is a number of seconds for a bake and a picture.")
     view, spp = check_view(scene, sensor, spp, seed)
@@ -147,8 +148,12 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
     entry = lambda c: {"error": c.error, "seconds": c.seconds, "settings": {name: settings(c)[name] for name in PLANNED}}
     left_out = tuple(dict.fromkeys(str(w.message).removeprefix("shprt: ") for w in told if issubclass(w.category, SHLightWarning)))
     bakes = chosen.direct != "unshadowed" and chosen.domain == "vertex"
+    why = list(_reasons(chosen, found, findings, margin))
+    if parameters["errors"]:
+        why.append(("errors", "true, as the scene has it: its layers take a few times as long as the picture, which is not counted here"
+                    + ("; gloss does not go with them" if findings.gloss > 0 else "")))
     return Plan(settings(chosen), max_error, time_limit, chosen.error, chosen.spread, chosen.parts, chosen.bake, chosen.picture,
-                compile_seconds(chosen.order, bakes), met, tuple(_reasons(chosen, found, findings, margin)), left_out,
+                compile_seconds(chosen.order, bakes), met, tuple(why), left_out,
                 tuple(map(entry, pareto(found))), entry(findings.largest()))
 
 
@@ -218,25 +223,29 @@ def _settings(c: Candidate, findings: Findings, margin: float, bounces) -> dict:
 def _reasons(c: Candidate, candidates: list, findings: Findings, margin: float):
     """(setting, reason) for each choice."""
     lights = findings.probe.state.lights
-    percent = lambda value: f"{100 * value:.2g} %" if value < 0.0995 else f"{100 * value:.0f} %"
+    rounded = lambda value: f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+    percent = lambda value: f"{rounded(100 * value)} %"
     cheapest = lambda test: min((k for k in candidates if test(k) and k.safe <= findings.max_error), key=lambda k: k.seconds, default=None)
-    least = lambda test: min((k.error for k in candidates if test(k)), default=math.inf)
+    least = lambda test: min((k.avoidable for k in candidates if test(k)), default=math.inf)
+    besides = " besides what is left out" if c.parts["left out"] > 0 else ""
     same = lambda **other: lambda k: all(getattr(k, name) == other.get(name, getattr(c, name)) for name in
                                          ("direct", "order", "domain", "rays", "edge", "bounce_rays", "bsdf_order"))
     blocked = (f"{percent(findings.blocked)} of the light is blocked, {percent(findings.partly)} of the points see a part of a light")
     if c.direct == "unshadowed":
-        yield "transfer", f"unshadowed: {blocked}; no bake, and of each light {c.order + 1} zonal coefficients only"
+        zonal = f", and of each light {c.order + 1} zonal coefficients only" if lights else ""
+        yield "transfer", f"unshadowed: {blocked}; no bake{zonal}"
     else:
         yield "transfer", f"{c.direct}: {blocked}; unshadowed would be off by {percent(least(lambda k: k.direct == 'unshadowed'))}"
     lower = max((k.order for k in candidates if k.order < c.order), default=None)
     if lower:
-        yield "order", f"{c.order}: error {percent(c.error)}, where order {lower} would have {percent(least(same(order=lower)))}"
+        less = percent(least(same(order=lower)))
+        yield "order", f"{c.order}: error {percent(c.avoidable)}{besides}, where order {lower} would have {less}"
     else:
-        yield "order", f"{c.order}: the lowest will do, with an error of {percent(c.error)}"
+        yield "order", f"{c.order}: the lowest will do, with an error of {percent(c.avoidable)}{besides}"
     sizes = findings.apparent_sizes()
     if sizes is not None:
         yield "method", "auto: closed form where lights are near, cubature where they are small; from the points they are " + \
-            f"{sizes[0]:.2g} to {sizes[1]:.2g} degrees wide"
+            f"{rounded(sizes[0])} to {rounded(sizes[1])} degrees wide"
     if c.direct != "unshadowed" and c.domain == "vertex":
         points = findings.points[findings.edges.index(c.edge)]
         yield "transfer_domain", f"vertex: {points:,.0f} points to bake, where the picture has {findings.sizes.hits:,} hits"
@@ -245,14 +254,15 @@ def _reasons(c: Candidate, candidates: list, findings: Findings, margin: float):
                                              else ": the coarsest cells looked at will do")
     elif c.direct != "unshadowed":
         baked = cheapest(lambda k: k.domain == "vertex" and k.direct != "unshadowed")
-        yield "transfer_domain", f"pixel: {findings.sizes.hits:,} hits" + (f"; a bake that is as good would take {baked.bake:.2g} s"
-                                                                          if baked else "; no bake is as good")
+        other = f"with a bake that is as good it would take {baked.seconds:.2g} s, not {c.seconds:.2g}" if baked else "no bake is as good"
+        yield "transfer_domain", f"pixel: {findings.sizes.hits:,} hits; {other}"
     if c.direct != "unshadowed":
         fewer = least(lambda k: same(rays=c.rays // 4)(k))
         yield "transfer_samples", f"{c.rays}" + (f": {c.rays // 4} would make the error {percent(fewer)}" if fewer < math.inf else
                                                  ": the least number looked at will do")
         if findings.cone() is not None:
-            yield "localised", f"true: lights lie in cones of {findings.cone():.2g} degrees about their middle, light_margin {margin:g}"
+            cone = rounded(findings.cone())
+            yield "localised", f"true: lights lie in cones of {cone} degrees about their middle, light_margin {margin:g}"
     edges = findings.sizes.edges
     if c.resolution:
         yield "grid_resolution", (f"{c.resolution}: {edges:,} edges of lights at {findings.sizes.hits:,} hits would take "

@@ -21,7 +21,7 @@ from ..shading.settings import Settings
 from ..shading.state import SceneState
 from ..transfer.localised import LEVELS, MAX_FIT_ORDER, ConeFit, cone_eps, sample_transfer
 from ..transfer.mesh import RIM, subdivision_of
-from ..transfer.visibility import BakeLights, LightSight, Occluders, SkySight, inside_a_body
+from ..transfer.visibility import BakeLights, LightSight, Occluders, SkySight, inside_a_body, lifted
 
 ORDER = MAX_FIT_ORDER
 """Highest order that is looked at."""
@@ -389,6 +389,34 @@ class Probe:
         value = dr.block_sum(brightness(value, ray.wavelengths), samples)
         dr.eval(value)
         return np.array(value, np.float64) / samples
+
+    def arriving(self, rows: Rows, bounces: int | None) -> np.ndarray:
+        """(2, R) luminance that a white surface at the rows sends of light from other surfaces, after at most `bounces` reflections or
+        without a limit; twice, with other random numbers. All rows of a point follow the same paths as far as they can, so that what they
+        differ by has little noise.
+        """
+        order, own = np.argsort(rows.owner, kind="stable"), len(rows.owner) - self._count + np.arange(self._count)
+        owner = rows.owner[order]
+        rank, out = np.arange(len(order)) - np.searchsorted(owner, owner), np.zeros((2, len(order)))
+        for k in range(rank.max() + 1):
+            row, there = own.copy(), rank == k
+            row[owner[there]] = order[there]
+            out[:, row] = self._arriving(rows.position[row], rows.normal[row], -1 if bounces is None else bounces + 1)
+        return out
+
+    def _arriving(self, position: np.ndarray, normal: np.ndarray, depth: int) -> np.ndarray:
+        """(2, P) of the same, for one row of each point; equal random numbers in each call."""
+        lanes = 2 * PATHS * self._count
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(self._seed, lanes)
+        point = dr.arange(mi.UInt32, lanes) // (2 * PATHS)
+        p, n = (dr.gather(kind, self._flat(values), point) for kind, values in ((mi.Point3f, position), (mi.Normal3f, normal)))
+        ray = mi.RayDifferential3f(self._rays(point))
+        ray.o, ray.d = lifted(p, n), mi.Frame3f(n).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+        value, seen = (mi.load_dict({"type": "path", "max_depth": last}).sample(self.scene, sampler, ray)[0] for last in (depth, 1))
+        value = dr.block_sum(brightness(value - seen, ray.wavelengths), PATHS)
+        dr.eval(value)
+        return np.array(value, np.float64).reshape(-1, 2).T / PATHS
 
     @staticmethod
     def _flat(rows: np.ndarray):

@@ -123,7 +123,7 @@ class PointErrors:
             coeffs, exact, quality = cosine, None, unshadowed(points)
             if transfer:
                 (coeffs, exact), quality = transfer.with_quality(g, lights)
-            shown = self._windowed(coeffs, fitted)
+            shown, cut = self._windowed(coeffs, fitted), quality.cut if exact is None else 0      # Lambert's formula is cut off nowhere
             frame, level = mi.Frame3f(quality.axis), fit and fit.level(quality.angle)
             solid_angle = dr.select(quality.angle < math.pi / 2, 2 * math.pi * (1 - dr.cos(quality.angle)), 2 * math.pi)
 
@@ -135,7 +135,7 @@ class PointErrors:
                         held = fit.whitened(level, rotate_frame(coeffs_, frame.s, frame.t, frame.n, order, inverse=True))
                     held, sent, flux = _dot(held, held), _dot(shown, coeffs_), coeffs_[0] * math.sqrt(4 * math.pi)
                     left = dr.maximum(energy - held, LEAST * energy)
-                    known[c] = known[c] + sent - _dot(coeffs, coeffs_) + quality.cut * (_dot(cosine, coeffs_) - lambert_)
+                    known[c] = known[c] + sent - _dot(coeffs, coeffs_) + cut * (_dot(cosine, coeffs_) - lambert_)
                     rest[c] = rest[c] + dr.sqrt(left) * quality.residual
                     flux = dr.select(flux > 0, flux, dr.inf)
                     noise = NOISE * quality.deviation * dr.sqrt(solid_angle * held) / flux

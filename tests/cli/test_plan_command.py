@@ -33,6 +33,8 @@ def test_plan_is_applied_and_rendered(capsys, scene_file, tmp_path):
     planned = tmp_path / "scene_planned.xml"
     assert (code, err) == (0, "") and str(planned) in out and scene.read_text() == before
     assert "error" in out and "s to bake" in out and "is blocked" in out
+    others = [line.split(" s ")[1] for line in out.partition("what else there is\n")[2].splitlines() if "%" in line.split(" in ")[0]]
+    assert len(others) > 1 and len(set(others)) == len(others)
     after = planned.read_text()
     head, tail = before.split(PATH.removeprefix("<!-- the old one -->"))
     assert after.startswith(head) and after.endswith(tail) and "<!-- the old one -->" in after and "gone" not in after
@@ -50,7 +52,8 @@ def test_json_has_the_whole_plan_and_a_limit_is_kept(capsys, scene_file):
 
 
 @pytest.mark.parametrize("arguments, text", [
-    (["--max-error", "0"], "'max_error' must be above 0"), (["--max-error", "x%"], "must be a number"), ([], "--max-error"),
+    (["--max-error", "0"], "'max_error' must be a finite number >= 1e-06"),
+    (["--max-error", "x%"], "must be a number"), ([], "--max-error"),
     (["--max-error", "0.1", "--apply", "out.txt"], "'--apply' must end in '.xml'"),
 ])
 def test_bad_input_is_one_paragraph_and_writes_nothing(capsys, scene_file, tmp_path, arguments, text):

@@ -95,6 +95,18 @@ def test_truth_is_exact_in_the_light_and_in_the_dark(shadow):
     assert np.abs(white * probe.hits.albedo - by_path)[lit].mean() < 0.03 * by_path[lit].mean()
 
 
+def test_light_from_surfaces_arrives_at_the_points_as_paths_have_it():
+    what = scene(camera(origin=(0.5, 2.4, 3)), floor=floor(), wall=block((-2, 0, -1), (2, 2, -0.9)), light=light())
+    probe = Probe(what, what.sensors()[0], 0.0, 0)
+    rows = probe.rows([0.6, 0.2])
+    found = probe.arriving(rows, None)
+    at_points = probe.hits.albedo * found[:, -len(probe.hits.p):]
+    expected = probe.radiance(-1) - probe.radiance(2)
+    assert abs(at_points.mean() / expected.mean() - 1) < 0.1 and abs(at_points.mean() / probe.radiance(2).mean()) > 0.01
+    off = interpolated(rows, 1, found.T, np.zeros(len(rows.cell), bool)) - found[:, -len(probe.hits.p):].T
+    assert 0 < abs(off).mean() < 0.25 * abs(found[0] - found[1]).mean()           # what rows share in noise is not taken for a difference
+
+
 def test_only_surfaces_that_are_no_light_are_looked_at(shadow):
     probe, _, _ = shadow
     assert isinstance(probe.state, SceneState) and len(probe.hits.p) == 96

@@ -16,7 +16,7 @@ LUMINANCE = 0.5 * RADIANCE @ [0.212671, 0.715160, 0.072169]
 """Of the lamp, times the floor's reflectance."""
 SMALL = {"order": 3, "max_edge": 0.5, "transfer_samples": 256}
 KINDS = {"unshadowed": {"transfer": "unshadowed"}, "projected": {"localised": False}, "localised": {}, "exact": {"transfer": "exact"},
-         "windowed": {"localised": False, "window": "hann"}}
+         "exact, projected": {"transfer": "exact", "localised": False}, "windowed": {"localised": False, "window": "hann"}}
 
 
 def half_covered(sensor=None, **more):

@@ -129,12 +129,15 @@ def test_front():
 
 
 def test_update_page():
-    page = "# Title\n\n<!-- pareto: orders -->\n| old |\n| --- |\n\nText.\n"
     report = filled_record().rows
-    assert update_page(page, report) == f"# Title\n\n<!-- pareto: orders -->\n{tables(ParetoRecord(report))['orders']}\n\nText.\n"
-    assert update_page(update_page(page, report), report) == update_page(page, report)
-    with pytest.raises(ValueError, match="'text' must mark tables of pareto, got 'prices'"):
-        update_page("<!-- pareto: prices -->\n", report)
+    made = tables(ParetoRecord(report))
+    page = "# Title\n\n" + "\n".join(f"<!-- pareto: {name} -->\n" for name in made) + "\nText.\n"
+    filled = update_page(page, report)
+    assert filled == "# Title\n\n" + "\n".join(f"<!-- pareto: {name} -->\n{table}\n" for name, table in made.items()) + "\nText.\n"
+    assert update_page(filled.replace("| ", "| old "), report) == filled
+    for wrong in (page + "<!-- pareto: prices -->\n", page.replace("<!-- pareto: orders -->", "")):
+        with pytest.raises(ValueError, match="must mark each table of pareto once"):
+            update_page(wrong, report)
 
 
 def test_sensors_differ_in_nothing_but_the_sampler():
