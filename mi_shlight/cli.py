@@ -215,18 +215,12 @@ def _plan_text(found) -> str:
 
 def _choice_text(settings: dict) -> str:
     """What tells one choice of settings from another."""
-    transfer = settings["transfer"]
-    parts = [transfer, f"order {settings['order']}"]
-    if not transfer.startswith("unshadowed"):
-        parts.append(f"{settings['transfer_samples']} rays per " + ("hit" if settings["transfer_domain"] == "pixel" else
-                                                                     f"point, max_edge {settings['max_edge']:.3g}"))
-    if settings["grid_resolution"]:
-        parts.append(f"grid {settings['grid_resolution']}")
-    if "interreflected" in transfer:
-        parts.append(f"bounce_samples {settings['bounce_samples']}")
-    if "glossy" in transfer:
-        parts.append(f"bsdf_order {settings['bsdf_order']}")
-    return ", ".join(parts)
+    transfer, rays = settings["transfer"], f", {settings['transfer_samples']} rays per "
+    rays += "hit" if settings["transfer_domain"] == "pixel" else f"point, max_edge {settings['max_edge']:.3g}"
+    counts = {"grid_resolution": settings["grid_resolution"], "bounce_samples": "interreflected" in transfer,
+              "bsdf_order": "glossy" in transfer}
+    return (f"{transfer}, order {settings['order']}" + rays * (not transfer.startswith("unshadowed"))
+            + "".join(f", {name} {settings[name]}" for name, used in counts.items() if used))
 
 
 def _spaced(choices, ratio: float = 2.0) -> list:
