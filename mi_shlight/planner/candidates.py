@@ -24,7 +24,7 @@ EDGES = (4, 2, 1, 1 / 2, 1 / 4)
 
 BASE = 256
 RAYS = (16, 64, 256, 1024, 4096)
-"""Rays per point: all cell sizes are looked at with `BASE`; how the error depends on their number is taken from the points themselves."""
+"""Rays per point: all cell sizes are looked at with all numbers to `BASE`; what more would change is taken from the points themselves."""
 
 PIXEL_RAYS = (16, 64, 256)
 PIXEL_REPEATS = 8
@@ -83,7 +83,7 @@ class Candidate(NamedTuple):
     @property
     def safe(self) -> float:
         """An error that is not likely to be exceeded."""
-        return MARGIN * self.error + self.spread
+        return MARGIN * self.error + 2 * self.spread
 
 
 class Findings:
@@ -164,17 +164,21 @@ class Findings:
         probe, truth = self.probe, self.truth
         self.rows = rows = probe.rows(self.edges)
         self.sights = probe.sights(rows, BASE)
-        shaded = [shade(sight) for sight in self.sights]
-        self._dark = dark = np.all([s.mean == 0 for s in shaded], axis=0) if shaded else np.zeros(0, bool)
-        self._base = {(direct, cells): self._errors(direct, shaded, rows, cells, dark)
-                      for direct in ("shadowed", "exact") for cells in range(len(self.edges) + 1)}
+        self._base = {}
+        for rays in (rays for rays in RAYS if rays <= BASE):
+            shaded = [shade(sight) for sight in (self.sights if rays == BASE else probe.sights_again(rows, self.sights, rays))]
+            dark = np.all([s.mean == 0 for s in shaded], axis=0) if shaded else np.zeros(0, bool)
+            for direct in ("shadowed", "exact"):
+                for cells in range(len(self.edges) + 1):
+                    self._base[direct, cells, rays] = self._errors(direct, shaded, rows, cells, dark)
+        self._dark = dark
         last = len(self.edges)
         own = rows._replace(corner=rows.corner[last:] - len(rows.cell) + len(self.lights), weight=rows.weight[last:],
                             buried=rows.buried[-len(self.lights):])
         self._own, self._steady = {}, {}
         for rays in RAYS:
             repeats = PIXEL_REPEATS if rays in PIXEL_RAYS else 1
-            turned = [shade(sight) for sight in probe.sights_at_points(rows, self.sights, rays, repeats)]
+            turned = [shade(sight) for sight in probe.sights_again(rows, self.sights, rays, repeats)]
             once = [[Shaded(*(values.reshape(repeats, -1, *values.shape[1:])[k] for values in s)) for s in turned] for k in range(repeats)]
             mean = [Shaded(*(values.reshape(repeats, -1, *values.shape[1:]).mean(axis=0) for values in s)) for s in turned]
             for direct in ("shadowed", "exact"):
@@ -309,10 +313,11 @@ class Findings:
                 square = max(steady - noise / PIXEL_REPEATS, 0) + noise / self.spp
                 yield direct, "pixel", 0, rays, (self._less_noise(math.sqrt(square)), spread)
             for cells in range(len(self.edges)):
-                error, spread = (float(v[order]) for v in self._base[direct, cells])
                 for rays in RAYS:
-                    square = max(error ** 2 + own[rays] - own[BASE], (error / 3) ** 2)
-                    yield direct, "vertex", cells, rays, (self._less_noise(math.sqrt(square)), spread)
+                    error, spread = (float(v[order]) for v in self._base[direct, cells, min(rays, BASE)])
+                    if rays > BASE:
+                        error = math.sqrt(max(error ** 2 + own[rays] - own[BASE], (error / 3) ** 2))
+                    yield direct, "vertex", cells, rays, (self._less_noise(error), spread)
 
     def _less_noise(self, error: float) -> float:
         """Without what the truth itself is uncertain by; less than that cannot be told."""

@@ -121,7 +121,7 @@ def plan(scene, max_error: float, time_limit: float | None = None, *, light_marg
     Notes
     -----
     Predictions are meant to be within a factor of 2 (validation/planner.py measures how far they are). Before it is compared with
-    `max_error`, the error is taken 1.3 times and its standard error, `spread`, is added.
+    `max_error`, the error is taken 1.3 times and twice its standard error, `spread`, is added.
     """
     name = "plan"
     if not isinstance(scene, mi.Scene):

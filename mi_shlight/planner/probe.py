@@ -26,7 +26,7 @@ from ..transfer.visibility import BakeLights, LightSight, Occluders, SkySight, i
 ORDER = MAX_FIT_ORDER
 """Highest order that is looked at."""
 
-POINTS = 384
+POINTS = 768
 CANDIDATES = 4
 """Camera rays for each point wanted: many miss, or see a light."""
 
@@ -322,12 +322,12 @@ class Probe:
             out.append(Sight(visible, level, dips, *self._lights_in_frames(g, rows, axis), shift, seconds / visible.size))
         return out
 
-    def sights_at_points(self, rows: Rows, sights: list, samples: int, repeats: int = 1) -> list:
-        """The same at the points themselves, with another number of rays, `repeats` times with the rays turned differently: the points, and
-        again the points, and so on.
+    def sights_again(self, rows: Rows, sights: list, samples: int, repeats: int = 0) -> list:
+        """The same with another number of rays; with `repeats` at the points themselves alone, so many times with the rays turned
+        differently: the points, and again the points, and so on.
         """
-        own = slice(len(rows.cell) - self._count, None)
-        again = lambda values: np.concatenate([values[own]] * repeats)
+        own = slice(len(rows.cell) - self._count if repeats else 0, None)
+        again = lambda values: np.concatenate([values[own]] * max(repeats, 1))
         rows = rows._replace(position=again(rows.position), normal=again(rows.normal), cell=again(rows.cell))
         shift = np.random.default_rng(self._seed + 2).random(len(rows.cell)).astype(np.float32)
         return [Sight(self._look(g, rows, shift, samples)[0].visible(), *map(again, (sight.level, sight.dips, sight.normal, sight.light)),
