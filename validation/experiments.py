@@ -116,13 +116,13 @@ GROUPS = {
             "wang_edits.png": "[W18] Fig. 8: a light that moves, turns, and whose vertex moves",
             "wang_environment.png": "[W18] Fig. 9: environment map and area light, turned",
             "wang_patterned.png": "[W18] Fig. 10: patterned lights and gloss",
-            "wang_frames.png": "[W18] Table 2: the scenes whose frames are timed"}, 5, timed=True),
+            "wang_frames.png": "[W18] Table 2: the scenes whose frames are timed"}, 5),
         Experiment("wu", "Wu et al. 2020 in pictures", {
             "wu_interpolation.png": "[W20] Fig. 7: Hermite, trilinear and Taylor interpolation, with errors and a scan line",
             "wu_room.png": "[W20] Fig. 10: a room with textured lights",
             "wu_path.png": "[W20] Fig. 13: against path tracing",
             "wu_many.png": "[W20] Fig. 1: hundreds of lights that move",
-            "wu_gloss.png": "[W20] Fig. 11: gloss under complex lights"}, 5, timed=True),
+            "wu_gloss.png": "[W20] Fig. 11: gloss under complex lights"}, 5),
     ),
     "Skies, lights of all kinds, spherical harmonics": (
         Experiment("light_kinds", "Lights of all kinds", {
