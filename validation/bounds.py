@@ -373,8 +373,9 @@ def targets(rows: list, baked: list) -> list:
                              count("with 3 transfer_error", baked), 0, text="{:.0f}"))
     for kind in KINDS:
         own = [row["median ratio"] for row in rows if row["transfer"] == kind and row["told"] >= 10]
-        lines.append(verdict(f"median over scenes and orders of the median ratio of bound to error, {kind}",
-                             float(np.median(own)) if own else math.nan, 10 if kind in ("localised", "exact") else 5))
+        limit = 10 if kind in ("localised", "exact") else 5
+        lines.append(verdict(f"median over scenes and orders of the median ratio of bound to error, {kind}: at most {limit}",
+                             float(np.median(own)) if own else math.nan, limit))
     return lines
 
 
