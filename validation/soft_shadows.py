@@ -335,9 +335,9 @@ def targets(report: dict) -> list:
     for name, rows in report["pictures"].items():
         plain = pick(rows, "blocks", transfer=PLAIN, order=8)
         for order, factor in ((8, 4), (4, 1)):
+            fitted = pick(rows, "blocks", transfer="localised", order=order, margin=5)
             lines.append(experiment.verdict(f"{name}, order {order}, margin 5°: error of 8 x 8 pixels at least {factor} times smaller than "
-                                            "projected at order 8", plain / pick(rows, "blocks", transfer="localised", order=order, margin=5),
-                                            factor, at_most=False))
+                                            "projected at order 8", plain / fitted, factor, at_most=False))
     return lines
 
 
