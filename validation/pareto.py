@@ -23,7 +23,8 @@ noise of the pixel's samples subtracted as well, found from two pictures: no num
 disk, apart; and the first picture of a fresh process with an empty kernel cache.
 
 **Equal error**: a power law is fitted to the rival's error over its samples; where it has the error of `shprt` are the samples that it
-needs, and their time lies between those measured, or beyond them in proportion. The path tracer *catches up* where it has the error of the floor.
+needs, and their time lies between those measured, or beyond them in proportion. The path tracer
+*catches up* where it has the error of the floor.
 
 **Axes**: order 0 to 20, unshadowed, projected, localised and exact; rays of the bake; its cells; the margin for moving lights; vertices
 or pixels; all of these on the Cornell box (the floor for unshadowed). Method and precision: one light shaded at many points by
