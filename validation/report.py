@@ -103,12 +103,18 @@ def read(path: pathlib.Path) -> dict:
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
+def results(path: pathlib.Path) -> dict:
+    """Of an experiment; nothing if they are of a form that it no longer writes."""
+    data = read(path)
+    return data if all(isinstance(line.get("target"), str) and "met" in line for line in data.get("targets", [])) else {}
+
+
 class Report:
     """The report of one folder, with placeholders for the pictures."""
 
     def __init__(self, folder: pathlib.Path):
         self.folder, self.runs = folder, read(folder / RUNS)
-        self.data = {name: read(folder / f"{name}.json") for name in EXPERIMENTS}
+        self.data = {name: results(folder / f"{name}.json") for name in EXPERIMENTS}
         self.machines = []
         for name in EXPERIMENTS:
             machine = self.machine(name)
@@ -258,7 +264,7 @@ def chips(lines: list) -> str:
 
 def verdicts(lines: list) -> str:
     rows = "".join(f"<tr><td class='{'met' if line['met'] else 'missed' if line['met'] is False else ''}'>{VERDICT[line['met']]}</td>"
-                   f"<td>{escape(str(line['target']))}</td><td>{escape(str(line['measured']))}</td></tr>" for line in lines)
+                   f"<td>{escape(line['target'])}</td><td>{escape(str(line['measured']))}</td></tr>" for line in lines)
     whole = f"<table><tr><th></th><th>target</th><th>measured</th></tr>{rows}</table>"
     return whole if len(lines) <= ROWS else f"<details><summary>{len(lines)} targets: {chips(lines)}</summary>{whole}</details>"
 

@@ -200,3 +200,9 @@ def test_a_browser_shows_the_recorded_report(page, tmp_path):
     found = in_browser(RECORDED, tmp_path)
     assert len(found) == len(page.images)
     assert all(image["width"] > 200 and image["shown"] > 200 for image in found)
+
+
+def test_results_of_a_former_form_are_not_shown(tmp_path):
+    (tmp_path / "furnace.json").write_text('{"targets": [{"what": "mean", "target": 0.01, "value": 0.2}]}')
+    report_of = report.Report(tmp_path)
+    assert report_of.failure("furnace") == "It has not been run." and "furnace" in report_of.html()
