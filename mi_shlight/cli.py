@@ -198,7 +198,7 @@ def _plan_text(found) -> str:
     asked = f"error of at most {found.max_error:.2g}" + ("" if found.time_limit is None else f" within {found.time_limit:g} s")
     parts = ", ".join(f"{name} {part:.2%}" for name, part in found.parts.items() if part >= 5e-5)
     lines = [f"shprt with {', '.join(f'{name} {value}' for name, value in chosen.items())}",
-             f"  error   {found.error:.2%} (+- {found.spread:.2%})" + (f"   of {parts}" if parts else ""),
+             f"  error   {found.error:.2%} (+- {found.spread:.2%}) besides the noise of pixels" + (f", of {parts}" if parts else ""),
              f"  time    {found.bake:.2f} s to bake, {found.render:.2f} s to render; {found.compile:.1f} s more to compile, once",
              "why"]
     lines += [f"  {name:<17} {text}" for name, text in found.why]
@@ -549,7 +549,7 @@ def _parser() -> _Parser:
                                description="Look at a scene, in seconds, and find the cheapest settings of shprt whose mean relative "
                                "error, as compare has it, is what you ask for; with the expected error and time, and why.")
     _add_scene(plan)
-    plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean relative error, such as 0.01 or 1%%")
+    plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean error besides the noise of pixels, such as 1%%")
     plan.add_argument("--time-limit", type=_number, metavar="T",
                       help="seconds for bake and picture; then the least error in that time if E takes longer")
     plan.add_argument("--light-margin", type=_number, metavar="X", help="how far lights will move, in scene units; default: the scene's")

@@ -25,7 +25,7 @@ def beside_scenes(tmp_path, monkeypatch):
 
 
 def test_readme_has_examples():
-    assert len(PYTHON) >= 2 and {command.split()[1] for command in COMMANDS} == {"render", "bake", "compare", "animate", "info"}
+    assert len(PYTHON) >= 2 and {command.split()[1] for command in COMMANDS} == {"render", "plan", "bake", "compare", "animate", "info"}
 
 
 @pytest.mark.parametrize("block", range(len(PYTHON)))
