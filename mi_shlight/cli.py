@@ -549,7 +549,7 @@ def _parser() -> _Parser:
                                description="Look at a scene, in seconds, and find the cheapest settings of shprt whose mean relative "
                                "error, as compare has it, is what you ask for; with the expected error and time, and why.")
     _add_scene(plan)
-    plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean error besides the noise of pixels, such as 1%%")
+    plan.add_argument("--max-error", required=True, type=_share, metavar="E", help="largest mean error besides pixel noise, such as 1%%")
     plan.add_argument("--time-limit", type=_number, metavar="T",
                       help="seconds for bake and picture; then the least error in that time if E takes longer")
     plan.add_argument("--light-margin", type=_number, metavar="X", help="how far lights will move, in scene units; default: the scene's")
