@@ -5,7 +5,7 @@
 help:
 	@echo 'make demo              render the Cornell box by spherical harmonics and by path tracing into demo/'
 	@echo 'make test              run the tests'
-	@echo 'make validate          run all experiments and write validation/results/report.html, in an hour on two cores'
+	@echo 'make validate          run all experiments and write validation/results/report.html, in an hour and a half on two cores'
 	@echo 'make validate QUICK=1  try all of them at tiny sizes, in minutes, into build/validation-quick/'
 	@echo 'make clean             remove .venv, demo/ and build products'
 	@echo 'All but the last set up what is missing: .venv, and LLVM >= 19 through apt where permitted.'

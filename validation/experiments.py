@@ -47,12 +47,12 @@ GROUPS = {
     "Speed against accuracy": (
         Experiment("pareto", "Error against time", {
             "pareto.png": "Error against time of shprt and of path and direct at growing samples, scene by scene",
-            "pareto_axes.png": "What each setting costs and buys"}, 8, timed=True),
+            "pareto_axes.png": "What each setting costs and buys"}, 12, timed=True),
         Experiment("bounds", "Error bounds of every pixel", {
             "bounds.png": "Bound and true error by order and scene",
             "bounds_maps.png": "True error, bound and total error in pictures"}, 4),
         Experiment("planner", "Planned settings", {
-            "planner.png": "Predicted against measured error and time of scenes that the planner has not seen"}, 6, timed=True),
+            "planner.png": "Predicted against measured error and time of scenes that the planner has not seen"}, 16, timed=True),
     ),
     "The coefficients": (
         Experiment("engine", "Cost and accuracy of every method", {
