@@ -31,7 +31,7 @@ from ..light.project import project_light
 from ..sh.rotation import rotate_frame
 from ..sh.windows import window_factors
 from ..transfer.cosine import cosine_bands, cosine_transfer
-from ..transfer.localised import Quality
+from ..transfer.localised import Quality, fused_dot
 from .near import Points, luminance
 
 NAMES = "truncation_bound", "grid_error", "transfer_error", "total_error"
@@ -133,9 +133,9 @@ class PointErrors:
                     held = coeffs_
                     if fit:
                         held = fit.whitened(level, rotate_frame(coeffs_, frame.s, frame.t, frame.n, order, inverse=True))
-                    held, sent, flux = _dot(held, held), _dot(shown, coeffs_), coeffs_[0] * math.sqrt(4 * math.pi)
+                    held, sent, flux = fused_dot(held, held), fused_dot(shown, coeffs_), coeffs_[0] * math.sqrt(4 * math.pi)
                     left = dr.maximum(energy - held, LEAST * energy)
-                    known[c] = known[c] + sent - _dot(coeffs, coeffs_) + cut * (_dot(cosine, coeffs_) - lambert_)
+                    known[c] = known[c] + sent - fused_dot(coeffs, coeffs_) + cut * (fused_dot(cosine, coeffs_) - lambert_)
                     rest[c] = rest[c] + dr.sqrt(left) * quality.residual
                     flux = dr.select(flux > 0, flux, dr.inf)
                     noise = NOISE * quality.deviation * dr.sqrt(solid_angle * held) / flux
@@ -189,9 +189,9 @@ class PointErrors:
             (coeffs, _), quality = transfer.with_quality(group, None)
         change = [s - c for s, c in zip(self._windowed(coeffs, False), coeffs)]
         norm = quality.residual + quality.cut * cosine_remainder(order)
-        bound = [abs(_dot(change, channel)) + norm * rest for channel, rest in zip(light, left)]
+        bound = [abs(fused_dot(change, channel)) + norm * rest for channel, rest in zip(light, left)]
         variance = sum(map(dr.square, (NOISE * quality.deviation, UNSEEN / quality.samples, BETWEEN * quality.spread)), mi.Float(0))
-        return bound, [variance * dr.square(_dot(cosine, channel)) for channel in light]
+        return bound, [variance * dr.square(fused_dot(cosine, channel)) for channel in light]
 
     def _windowed(self, coeffs: list, fitted: bool) -> list:
         if self._factors is None or fitted:
@@ -209,10 +209,3 @@ def cosine_remainder(order: int) -> float:
     """L2 norm, 1/sqrt(sr), of what the bands to `order` leave of the clamped cosine over pi."""
     held = sum(band * band * (2 * l + 1) / (4 * math.pi) for l, band in enumerate(cosine_bands(order)))
     return math.sqrt(max(2 / (3 * math.pi) - held, 0))
-
-
-def _dot(a: list, b: list):
-    total = a[0] * b[0]
-    for x, y in zip(a[1:], b[1:]):
-        total = dr.fma(x, y, total)
-    return total

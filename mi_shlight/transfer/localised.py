@@ -101,7 +101,7 @@ class ConeFit:
         middle, out = self.whitened(level, moments), list(moments)
         for factor, index in self._blocks(level):
             for j, i in enumerate(index):
-                out[i] = _dot([row[j] for row in factor[j:]], [middle[k] for k in index[j:]])
+                out[i] = fused_dot([row[j] for row in factor[j:]], [middle[k] for k in index[j:]])
         return out
 
     def whitened(self, level, moments: list) -> list:
@@ -109,7 +109,7 @@ class ConeFit:
         out = list(moments)
         for factor, index in self._blocks(level):
             for row, i in zip(factor, index):
-                out[i] = _dot(row, [moments[k] for k in index])
+                out[i] = fused_dot(row, [moments[k] for k in index])
         return out
 
     def _blocks(self, level):
@@ -271,7 +271,7 @@ def sample_transfer(sight, p, n, order: int, samples: int, offset, active=True, 
         rest, held = fit.solve(level, rest), fit.whitened(level, rest)
     energy = dr.maximum(energy, 0)
     hidden_noise = gain * solid_angle * (solid_angle * change * 0.5 + SMOOTH_NOISE * energy)
-    residual = dr.maximum(energy - _dot(held, held), 0) + 2 * hidden_noise + ROUNDING * energy
+    residual = dr.maximum(energy - fused_dot(held, held), 0) + 2 * hidden_noise + ROUNDING * energy
     coeffs = rotate_frame(rest, frame.s, frame.t, frame.n, order)
     if kind == "visibility":
         coeffs[0] += dr.select(total > 0, constant * math.sqrt(4 * math.pi), 0)
@@ -288,7 +288,8 @@ def projection_gain(order: int) -> float:
     return (order + 1) ** 2 / (4 * math.pi)
 
 
-def _dot(a: list, b: list):
+def fused_dot(a: list, b: list):
+    """Sum of the products of two lists."""
     total = a[0] * b[0]
     for x, y in zip(a[1:], b[1:]):
         total = dr.fma(x, y, total)
